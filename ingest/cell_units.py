@@ -30,6 +30,7 @@ SUFFIXES = frozenset(
 )
 """Units as they stand behind a name: `force_V`, `HV_kV`."""
 _WRITTEN = re.compile(r"^(?P<name>.+?)(?:\s+(?:in|-)\s+|[_ ])(?P<unit>[A-Za-zµ]{1,4})$")
+_IN_UNIT = re.compile(r"^(?P<name>.+?)\s+in\s+(?P<unit>\S{1,10})$")
 _SI_BASE = {"n": "N", "v": "V", "kv": "kV", "hz": "Hz", "mpa": "MPa", "kpa": "kPa", "pa": "Pa", "pf": "pF"}
 """Units that a program which writes all in small letters means."""
 _ALSO_WORDS = frozenset(("in", *(unit for unit in SUFFIXES if len(unit) == 1)))
@@ -67,7 +68,10 @@ def name_and_unit(name: str) -> tuple[str, str]:
 
 
 def unit_behind(name: str) -> tuple[str, str]:
-    """A column's name and the unit behind it without brackets: `HV_kV`, `Weg µm`, `Force in mN`; no unit where none is known there."""
+    """A column's name and the unit behind it without brackets: `HV_kV`, `Weg µm`, `T in °C`; no unit where none is known there."""
+    match = _IN_UNIT.match(name)
+    if match is not None and is_unit(match["unit"]):
+        return match["name"], match["unit"]
     match = _WRITTEN.match(name)
     if match is None:
         return name, ""

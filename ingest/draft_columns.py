@@ -273,7 +273,7 @@ def _first(columns: Sequence[GuessedColumn], pattern: str) -> GuessedColumn | No
     return next((c for c in columns if re.search(pattern, label_column(c))), None)
 
 
-_NOWHERE = r"[-–—/]+|none|no|nein|kein[er]*|aucune?|n/?a"
+NOWHERE = r"[-–—/]+|none|no|nein|kein[er]*|aucune?|n/?a"
 """Places of a failure that there was not."""
 _LONGEST_CODE = 3
 """Letters of a mark that is a code: it means nothing without its legend."""
@@ -312,7 +312,7 @@ def _set_aside_untested(
     lived: set[str] = set()
     for column in lives:
         cells = [_plain(cell) for cell in opened.cells(column)]
-        lived |= {mark for mark, cell in zip(marks, cells, strict=False) if cell and not re.fullmatch(_NOWHERE, cell)}
+        lived |= {mark for mark, cell in zip(marks, cells, strict=False) if cell and not re.fullmatch(NOWHERE, cell)}
     untested = {mark for mark in marks if mark} - lived
     if not lives or not lived or not untested:
         return found
@@ -349,7 +349,7 @@ def _meanings(failed: GuessedColumn, opened: Opened) -> dict[str, list[Any]]:
                 lists.setdefault(key, []).append(value)
         return lists | ({"unknown": unknown} if unknown else {})
     if not any(re.match(_YES, str(v).strip().lower()) or isinstance(v, int) for v in plain):
-        alive = [v for v in plain if re.fullmatch(_NOWHERE, str(v).strip().lower())]
+        alive = [v for v in plain if re.fullmatch(NOWHERE, str(v).strip().lower())]
         if alive and len(alive) < len(plain):  # places of failure, and a dash where there was none
             return {"failed_values": [v for v in plain if v not in alive], "censored_values": alive}
     yes = [v for v in plain if (re.match(_YES, str(v).strip().lower()) is not None) != turned]

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from ingest.draft_columns import find_frequency
+from ingest.draft_columns import NOWHERE, find_frequency
 from ingest.draft_files import Opened, map_each_column, read_numbers
 from ingest.harvest import Fact, read_moment
 from ingest.isotherms import find_isotherms, has_repeats, has_returns
@@ -93,6 +93,10 @@ _NOT_COUNTED = r"z[äa]hl\w* (\w+ )?nicht|nicht als|not count|no failure|not a f
 """What a legend says of failures that end the watch alone."""
 
 
+_MOST_TEXTS = 8
+"""Texts of failure modes that a question lists."""
+
+
 def find_state(opened: Opened) -> Fact | None:
     """The date and time of the state of a list, as the words beside it say: `Stand 04.11.2024 09:00`; None where they say none."""
     for text in opened.words:
@@ -129,17 +133,19 @@ def find_modes(opened: Opened, chosen: Mapping[str, GuessedColumn], failed: Mapp
 def ask_censored_modes(opened: Opened, of_modes: GuessedColumn) -> Question | None:
     """The question which ways of failing are none of the film; None where a column says one way only. What the words beside the table say
     of them is the suggestion."""
-    cells = {str(cell).strip() for cell in opened.cells(of_modes)}
+    cells = {text for cell in opened.cells(of_modes) if (text := str(cell).strip())}
     modes = _classify(cells)
     if len(modes) < 2:
         return None
+    texts = sorted(cell for cell in cells if not re.fullmatch(NOWHERE, cell.lower()))
     beside = [word.lower() for word in opened.words if word.strip() not in cells]
     said = [word[: match.start()] for word in beside if (match := re.search(_NOT_COUNTED, word)) is not None]
     suggested = [mode for mode in modes if any(mode in _classify(re.findall(r"[^\W\d_]+", word)) for word in said)]
     return Question(
         "columns.failure_mode.censored_modes",
         f"which of {', '.join(modes)} are no failures, but end the watch"
-        f" ({'so the words beside the table' if suggested else 'none: every one counts'})",
+        f" ({'so the words beside the table' if suggested else 'none: every one counts'})"
+        + (f"; texts can be named as well: {', '.join(texts)}" if len(modes) < len(texts) <= _MOST_TEXTS else ""),
         suggested,
     )
 

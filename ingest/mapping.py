@@ -80,7 +80,7 @@ class ColumnMapping:
 
     `metadata` holds the channel's own keys (`sensor`, `delay_s`, `resolution`, `filter_hz`) as text, as MCAP has them.
     `value` stands for a column that is the same in every row (tables only); `meanings` says which cell values mean
-    failed, censored and left-censored, or which failure mode (columns of lifetime tables), `censored_modes` which modes count as survivors. `law`: how a covariate of the laboratory's
+    failed, censored and left-censored, or which failure mode (columns of lifetime tables), `censored_modes` which modes, or texts of the table, count as survivors. `law`: how a covariate of the laboratory's
     own enters a regression of lives. `says_scale`: the mapping gives a scale
     or offset, be it 1 or 0.
     """
@@ -419,9 +419,6 @@ def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> Colu
         for key in (*_VALUES_OF_FAILED, *_VALUES_OF_MODES)
         if key in entry
     }
-    modes = tuple(entry.get("censored_modes", ()))
-    for mode in modes:
-        choice(mode, f"{name}.censored_modes", FAILURE_MODES, source)
     return ColumnMapping(
         column=entry.get("column"),
         unit=entry.get("unit"),
@@ -438,7 +435,7 @@ def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> Colu
         open_until=_moment_or_none(entry.get("open_until"), f"{name}.open_until", source),
         fill_down=entry.get("fill_down", False),
         meanings=meanings,
-        censored_modes=modes,
+        censored_modes=tuple(str(mode) for mode in entry.get("censored_modes", ())),
         law=entry.get("law"),
         metadata={k: str(entry[k]) for k in CHANNEL_METADATA if k in entry},
     )

@@ -181,8 +181,8 @@ TABLE_COLUMN: Mapping[str, Key] = {
     "other_values": Key((list,), "column `failure_mode`: cells that mean any other failure"),
     "censored_modes": Key(
         (list,),
-        "column `failure_mode`: modes (film, lead, edge, electrode, other) whose failures count as survivors until then, a note: for the"
-        " life of the film alone",
+        "column `failure_mode`: modes (film, lead, edge, electrode, other), or texts as the table writes them, whose failures count as"
+        " survivors until then, a note: for the life of the film alone",
     ),
 }
 """Keys of `columns.<name>` of a table."""
@@ -262,7 +262,7 @@ TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
         "failure_region": "absent: that of `[recording]`",
         "failure_mode": "in any words; `film_values`, `lead_values`, `edge_values`, `electrode_values` and `other_values` say what"
         " they mean, else it is told from words such as pinhole, contact or flashover. What no word tells is `other`, which a"
-        " note says. `censored_modes`: failures of these modes end the watch and are no failures",
+        " note says. `censored_modes`: failures of these modes, or with these texts, end the watch and are no failures",
         "temperature": "of the test; absent: `temperature_c` of `[recording]`",
         "humidity": "relative humidity of the test, 0 to 1 or %",
         "frequency": "Hz, of an alternating voltage",

@@ -112,7 +112,8 @@ def guess_columns(
                 meaning = named_as(plain)
             if by_name and meaning is not None and not raw and meaning not in _named(plain):
                 meaning = None  # by its unit alone: after those that have the name
-            if meaning in taken or (not by_name and (named_as(plain) is not None or _OF_COUNTS.match(plain.lower()))):
+            is_named = len(plain) > 1 and named_as(plain) is not None
+            if meaning in taken or (not by_name and (is_named or _OF_COUNTS.match(plain.lower()))):
                 meaning, raw = None, False
             if meaning is not None:
                 taken.add(meaning)
@@ -200,9 +201,9 @@ def guess_meaning(name: str, unit: str) -> str | None:
     fitting = [meaning for meaning in named if _fits(meaning, unit)]
     if fitting:
         return fitting[0]
-    if named and unit:
-        return None
-    if named:
+    if named and unit and len(plain) > 1:
+        return None  # of a single letter (`T in °C`) the unit says what it is
+    if named and not unit:
         return named[0]
     if not unit or unit in ("-", "%", "1"):
         return None

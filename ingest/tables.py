@@ -29,10 +29,11 @@ from ingest.mapping import FileMapping
 from ingest.mapping_keys import TAN_DELTA
 from ingest.own_covariates import read_covariates
 from ingest.table_rows import TableRows, cell_text, join_repeats, ordered, standard_error, stiffness_scale
+from schemas.alike import ask_meant
 from schemas.arrays import Complex, Float
 from schemas.assumptions import Assumption, assume_campaign
 from schemas.errors import RefusedError
-from schemas.lifetimes import LifetimeRow
+from schemas.lifetimes import FAILURE_MODES, LifetimeRow
 from schemas.metadata import TableMetadata
 
 _MOST_COPIES = 100_000
@@ -125,12 +126,13 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
     electrodes, batches = (table.groups_or(name, getattr(metadata, name), count) for name in ("electrode", "batch"))
     covariates = read_covariates(table)
     censored_modes = mapping.columns["failure_mode"].censored_modes if "failure_mode" in mapping.columns else ()
+    _check_censored(censored_modes, modes, where)
     rows, ended_by = [], 0
     for i in range(count):
         if math.isnan(lives.life_s[i]):
             continue
         name = specimens[i] or f"{stem}-{table.row_numbers[i]}"
-        not_counted = bool(lives.failed[i]) and modes[i][0] in censored_modes
+        not_counted = bool(lives.failed[i]) and not {modes[i][0], modes[i][1]}.isdisjoint(censored_modes)
         ended_by += not_counted
         failed = bool(lives.failed[i]) and not not_counted
         rows += [
@@ -144,7 +146,7 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
                 voltage_kv=_number_or_none(voltage[i]),
                 censored_because=None
                 if failed
-                else f"failed: {modes[i][0]}"
+                else f"failed: {modes[i][0] if modes[i][0] in censored_modes else modes[i][1]}"
                 if not_counted
                 else "censored in the table",
                 breakdown_voltage_kv=_number_or_none(breakdown[i]),
@@ -174,6 +176,19 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
             f"{ended_by} failures ({', '.join(censored_modes)}) count as survivors until then: columns.failure_mode.censored_modes"
         )
     return LifetimeTable(metadata, tuple(rows), *table.remarks, tuple(table.assumptions))
+
+
+def _check_censored(said: Sequence[str], modes: Sequence[tuple[str | None, str | None]], where: str) -> None:
+    """Raises `RefusedError` for what is said not to count and is neither a failure mode nor a text of the table."""
+    texts = {written for _, written in modes if written is not None}
+    for one in said:
+        if one not in texts and one not in FAILURE_MODES:
+            known = [*FAILURE_MODES, *sorted(texts)]
+            raise RefusedError(
+                f'columns.failure_mode.censored_modes is "{one[:80]}"{ask_meant(one, known)}',
+                where=where,
+                expected=f"one of {', '.join(FAILURE_MODES)}, or a text as the table writes it",
+            )
 
 
 def _check_conditions(table: TableRows, conditions: Mapping[str, Float]) -> None:

@@ -222,3 +222,16 @@ def test_a_force_in_grams_is_asked_as_a_weight(tmp_path: Path) -> None:
     (asked,) = [q for q in draft.questions if q.key == "columns.force.unit"]
     assert asked.suggestion == "gf"
     assert draft.content["columns"]["force"]["unit"] == "gf"
+
+
+def test_failures_with_one_text_end_the_watch_and_others_of_the_mode_do_not(tmp_path: Path) -> None:
+    """A film torn at its clamp and a breakdown at the edge of its electrode are both failures at an edge."""
+    path = tmp_path / "lives.csv"
+    ways = ["breakdown", "breakdown at electrode edge", "torn at clamp", "torn at clamp"]
+    rows = [f"S{i},4,{10 + i},failed,{way}" for i, way in enumerate(ways)]
+    path.write_text("\n".join(["Specimen,Voltage [kV],Life [h],Status,Failure mode", *rows, "S9,4,99,stopped,-", ""]))
+    (asked,) = [q for q in make_draft(path).questions if q.key == "columns.failure_mode.censored_modes"]
+    assert asked.text.endswith("breakdown, breakdown at electrode edge, torn at clamp")
+    table = read_drafted(path, {"censored_modes": ["torn at clamp"]})
+    assert [row.failed for row in table.rows] == [True, True, False, False, False]
+    assert [row.censored_because for row in table.rows][2] == "failed: torn at clamp"
