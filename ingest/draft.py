@@ -50,6 +50,7 @@ from ingest.draft_tables import (
     find_clock,
     find_modes,
     find_state,
+    find_warm_groups,
     is_written_once,
     say_frequency,
     select_isotherms,
@@ -293,11 +294,16 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
     selections = [s for s in (sweeps, each) if s is not None]
     if selections:
         content["select"] = selections
-    if each is not None:
+    beside = find_warm_groups(opened, chosen) if kind in (FREQUENCY_RESPONSE, RELAXATION) and not selections else []
+    if beside:
+        content["select"] = beside
+        content.pop("repeated", None)
+    if each is not None or beside:
         about["recording_id"] = about["recording_id"] + "-{each}"
         remarks["recording.specimen_id"] = "all temperatures of one specimen make a master curve"
         remarks |= {"recording.recording_id": remark} if remark else {}
-    unmapped = tuple(c for c in opened.columns if c not in chosen.values())
+    own = {c["column"] for entry in beside for c in entry.get("columns", {}).values()}
+    unmapped = tuple(c for c in opened.columns if c not in chosen.values() and c.column not in own)
     return Draft(opened.path, content, remarks, tuple(questions), unmapped, opened.about)
 
 

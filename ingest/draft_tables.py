@@ -21,6 +21,7 @@ from ingest.read import open_columns
 from ingest.trios_reader import STEP
 from schemas.errors import DealabError
 from schemas.lifetimes import FAILURE_MODES, OTHER, classify_failure_mode
+from schemas.units import conversion
 
 _FEWEST_FREQUENCIES = 3
 """Different frequencies of a step that goes over them."""
@@ -190,6 +191,49 @@ def select_isotherms(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> tup
     selection = by | {"each_of": list(isotherms.values), "tolerance": isotherms.tolerance}
     remark = f"{isotherms.loose} rows from {isotherms.loose_from:.4g} to {isotherms.loose_to:.4g} are at no isotherm: left out"
     return selection, repeated, remark
+
+
+_DEGREES = re.compile(r"(?P<number>[-−]?\d+(?:[.,]\d+)?)\s*(?P<unit>°\s*[CF]|K|deg\s*C)?(?![\w.,])")
+"""A temperature as a text above a group of columns has it."""
+_WARM = r"temp|°\s*[cf]\b|\bdeg|kelvin"
+"""What a line of temperatures says beside its numbers."""
+
+
+def find_warm_groups(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> list[dict[str, Any]]:
+    """The sweeps of several temperatures whose columns stand side by side under the same names, as entries of `[[select]]` with columns and
+    a temperature of their own; empty where there is one, or no line above them has a temperature for each."""
+    if "temperature" in chosen:
+        return []
+    groups = {name: [c for c in opened.columns if c.name and c.name == column.name] for name, column in chosen.items()}
+    counts = {len(own) for own in groups.values()}
+    if len(counts) != 1 or counts == {0} or counts == {1}:
+        return []
+    warm = _read_temperatures(opened, counts.pop())
+    entries: list[dict[str, Any]] = []
+    for i, (label, celsius) in enumerate(warm):
+        columns = {name: own[i] for name, own in groups.items()}
+        filled = [row for c in columns.values() for row, cell in enumerate(opened.cells(c)) if str(cell).strip()]
+        rows = {"first_row": 0} | ({"last_row": max(filled)} if filled and max(filled) < len(opened.rows) - 1 else {})
+        entry = {**rows, "part": label, "recording": {"temperature_c": celsius}}
+        entries.append(entry | ({"columns": {n: {"column": c.column} for n, c in columns.items()}} if i else {}))
+    return entries if len({entry["part"] for entry in entries}) == len(entries) else []
+
+
+def _read_temperatures(opened: Opened, count: int) -> list[tuple[str, float]]:
+    """As written and in °C, of the last line above the table that has `count` of them; empty where none has."""
+    for line in reversed(opened.words):
+        cells = [cell.strip() for cell in line.split(str(opened.options.get("delimiter", "\t"))) if cell.strip()]
+        if re.search(_WARM, line.lower()) is None:
+            continue
+        found = [m for cell in cells if (m := _DEGREES.search(cell)) is not None]
+        if len(found) != count:
+            continue
+        said = re.search(r"°\s*(F)|\b(K)\b|kelvin", line)
+        unit = "degC" if said is None else "degF" if said[1] else "K"
+        into = conversion(unit, "degC")
+        numbers = [m["number"].replace("−", "-").replace(",", ".") for m in found]
+        return [(number, round(float(number) * into.scale + into.offset, 6)) for number in numbers]
+    return []
 
 
 def select_sweeps(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> dict[str, Any] | None:

@@ -80,11 +80,15 @@ class ShiftLaw:
         return np.asarray(1e3 * self.energy_kj_per_mol.value / GAS_CONSTANT * inverse / np.log(10))
 
 
+WORTH = 2.0
+"""Lead in χ² + p ln m up to which a law with a constant more is no better: "not worth more than a bare mention" (Kass and Raftery 1995)."""
+
+
 def fit_shift_laws(master: Superposition) -> tuple[ShiftLaw, ...]:
     """The laws that the shifts of a master curve can carry, the one that describes them better first.
 
-    The order is that of χ² + p ln m for p constants and m shifts, χ² in units of what the better law leaves. Empty where
-    no shift differs from the reference in temperature.
+    The order is that of χ² + p ln m for p constants and m shifts, χ² in units of what the better law leaves; a law with a constant more
+    comes first where it is ahead by more than `WORTH`. Empty where no shift differs from the reference in temperature.
     """
     shifted = [s for s in master.shifts if not s.fixed]
     rise = np.array([s.temperature_c - master.reference_c for s in shifted])
@@ -96,7 +100,9 @@ def fit_shift_laws(master: Superposition) -> tuple[ShiftLaw, ...]:
         laws.append(_fit_wlf(shifts, master.reference_c))
     unit = max(1.0, min(law.chi2 / max(law.freedom, 1) for law in laws))
     cost = [law.chi2 / unit + (rise.size - law.freedom) * np.log(rise.size) for law in laws]
-    return tuple(laws[i] for i in np.argsort(cost))
+    alike = min(cost) + WORTH
+    ranked = sorted(zip(cost, laws, strict=True), key=lambda one: (one[0] > alike, -one[1].freedom, one[0]))
+    return tuple(law for _, law in ranked)
 
 
 class _Shifts:

@@ -108,3 +108,22 @@ def test_one_temperature_is_no_master_curve() -> None:
     for given in (one, [*one, *one]):
         with pytest.raises(NotIdentifiableError, match="one temperature"):
             superpose(given)
+
+
+def test_a_law_with_a_constant_more_has_to_be_better() -> None:
+    """Shifts after Arrhenius: WLF follows them as well, over seventy kelvins, and says no more."""
+    lead = []
+    for seed in range(24):
+        rng = np.random.default_rng(100 + seed)
+        frequency = np.geomspace(0.1, 50.0, 9)
+        isotherms = []
+        for celsius in (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0):
+            a = np.exp(90e3 / 8.314462618 * (1 / (celsius + 273.15) - 1 / 303.15))
+            exact = cole_cole(2 * np.pi * frequency * a, REFERENCE)
+            noise = 0.004 * (rng.standard_normal(9) + 1j * rng.standard_normal(9))
+            isotherms.append(Isotherm(celsius, frequency, exact * (1 + noise), np.full(9, np.nan)))
+        laws = fit_shift_laws(superpose(isotherms, reference_c=30.0))
+        (arrhenius,), (wlf,) = ([law for law in laws if law.law == name] for name in (ARRHENIUS, WLF))
+        lead.append(arrhenius.chi2 - wlf.chi2 - np.log(6))
+        assert laws[0] is (wlf if lead[-1] > 2 else arrhenius)
+    assert any(0 < one < 2 for one in lead), "some draws have to ask"

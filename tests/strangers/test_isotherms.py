@@ -161,3 +161,52 @@ def test_a_night_makes_one_master_curve_of_them(tmp_path: Path, capsys: pytest.C
 def test_runs_that_cannot_be_are_named(entry: dict[str, object], said: str) -> None:
     content = {"kind": "frequency_response", "recording": {"recording_id": "r-{each}"}, "select": [entry]}
     assert said in "; ".join(map(str, list_static_faults(content, stem="r", suffix=".csv")))
+
+
+def write_side_by_side(path: Path, labels: tuple[str, ...], *, line: str = "Temperature (°C)") -> Path:
+    """Three columns for each temperature, which stands above them; of the last one two frequencies are missing."""
+    blocks = []
+    for number, label in enumerate(labels):
+        z = (1j * 2 * np.pi * FREQUENCIES * 10 ** (-0.4 * number) * 1e-3) ** 0.5
+        value = 1.0 + 100.0 * z / (1 + z)
+        cells = [
+            [f"{f:.4f}", f"{v.real:.6f}", f"{v.imag / v.real:.6f}"] for f, v in zip(FREQUENCIES, value, strict=True)
+        ]
+        blocks.append(cells if label != labels[-1] else [*cells[:-2], *[["", "", ""]] * 2])
+    above = "\t\t\t".join(f"{line}\t{label}" if line else label for label in labels)
+    heads = [above, "\t\t".join(["Frequency\tE'\tTan delta"] * len(labels)), "\t\t".join(["Hz\tMPa\t"] * len(labels))]
+    rows = ["\t\t".join("\t".join(one[i]) for one in blocks) for i in range(FREQUENCIES.size)]
+    path.write_text("\n".join(["Film F-1", *heads, *rows, ""]), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("labels", "line", "celsius"),
+    [
+        (("0.2", "20.0", "40.0"), "Temperature (°C)", [0.2, 20.0, 40.0]),
+        (("-10", "25", "60"), "T in °C", [-10.0, 25.0, 60.0]),
+        (("273.15", "293.15", "313.15"), "Temperature (K)", [0.0, 20.0, 40.0]),
+    ],
+)
+def test_temperatures_side_by_side_are_recordings_of_their_own(
+    tmp_path: Path, labels: tuple[str, ...], line: str, celsius: list[float]
+) -> None:
+    path = write_side_by_side(tmp_path / "film.txt", labels, line=line)
+    draft = make_draft(path)
+    assert [column.column for column in draft.unmapped] == []
+    content = tomllib.loads(draft.as_toml())
+    assert find_faults(path, content) == ()
+    mapping = FileMapping.parse(content, stem="film", suffix=".txt")
+    assert list_parts(path, mapping) == labels
+    tables = [read_raw(path, part_of(mapping, label)) for label in labels]
+    assert all(isinstance(table, ResponseTable) for table in tables)
+    assert [table.metadata.temperature_c for table in tables] == celsius
+    assert [table.frequency_hz.size for table in tables if isinstance(table, ResponseTable)] == [13, 13, 11]
+    assert not any(table.problems for table in tables if isinstance(table, ResponseTable))
+
+
+def test_columns_side_by_side_without_temperatures_are_listed_and_not_taken_for_some(tmp_path: Path) -> None:
+    path = write_side_by_side(tmp_path / "film.txt", ("A", "B", "C"), line="")
+    draft = make_draft(path)
+    assert "select" not in draft.content
+    assert [column.name for column in draft.unmapped] == ["Frequency", "E'", "Tan delta"] * 2
