@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.analyse.session_features import Alone, SessionFeatures
+from pipeline.analyse.session_features import SessionFeatures, Single
 from pipeline.fit.relaxation.time_domain import CycleFit, CycleFits
 from pipeline.transform.breakdown_life import Lifetime
 from pipeline.transform.calibration import TapCalibration, WeightCalibration
@@ -132,7 +132,7 @@ KINDS: tuple[type, ...] = (
     ForceMapReadings,
     ForceReading,
     SessionFeatures,
-    Alone,
+    Single,
 )
 _CODEC = Codec(KINDS)
 

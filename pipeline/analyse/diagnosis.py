@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from pipeline.analyse.analysis import Analysis
-from pipeline.analyse.diagnosed_alone import diagnosed_alone
 from pipeline.analyse.diagnosis_tables import comparison_tables, diagnosis_tables, undiagnosed_tables
 from pipeline.analyse.inputs import Measured
 from pipeline.analyse.session_features import SessionFeatures
+from pipeline.analyse.single_diagnosis import diagnose_single
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features.encode import unpack
 from pipeline.diagnose.features.kinds import RecordingFeatures
@@ -27,10 +27,10 @@ def analyse_diagnosis(specimen_id: str, recordings: Sequence[Measured], calibrat
     if all(isinstance(r.metadata, RecordingMetadata) and r.metadata.loading == CALIBRATION for r in recordings):
         return analysis  # a clamp under its own name is no specimen
     told = len(analysis.missing)
-    alone = analysis.attempt("diagnosis", diagnosed_alone, specimen_id, recordings)
+    single = analysis.attempt("diagnosis", diagnose_single, specimen_id, recordings)
     lacking = [reason.removeprefix("diagnosis: ") for reason in analysis.missing[told:]]
-    if alone is not None:
-        analysis.add(comparison_tables(*alone))
+    if single is not None:
+        analysis.add(comparison_tables(*single))
         return analysis
     found = analysis.attempt("diagnosis", _asked, session, refused)
     unheard = _find_unheard(recordings)

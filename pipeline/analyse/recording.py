@@ -12,7 +12,6 @@ import numpy as np
 
 from ingest.samples import preview
 from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
-from pipeline.analyse.alone import alone_of
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.assumptions import assumption_table, find_assumptions, find_table_assumptions
 from pipeline.analyse.creep import NOT_ASKED as CREEP_NOT_ASKED
@@ -25,6 +24,7 @@ from pipeline.analyse.pull import NOT_ASKED, analyse_pull, pull_tables
 from pipeline.analyse.responses import distortion_table, relaxation_table, response_table
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.analyse.signs import find_negative, sign_table
+from pipeline.analyse.single import take_single
 from pipeline.analyse.slow_voltage import NOT_ASKED as SLOW_VOLTAGE_NOT_ASKED
 from pipeline.analyse.slow_voltage import analyse_slow_voltage
 from pipeline.analyse.temperatures import TEMPERATURE
@@ -145,11 +145,11 @@ def session_features(recording: Recording) -> SessionFeatures:
     """The recording's features for the diagnosis of its specimen, or why there are none."""
     if recording.metadata.protocol == "cycle" and lacks_stretch(recording):
         return SessionFeatures("", "film_length_mm is missing: how far the film was stretched is not known")
-    alone = alone_of(recording)
+    single = take_single(recording)
     try:
-        return SessionFeatures(pack(reduce(_from_one_turn(recording))), alone=alone)
+        return SessionFeatures(pack(reduce(_from_one_turn(recording))), single=single)
     except NotIdentifiableError as error:
-        return SessionFeatures("", error.shortcoming, alone)
+        return SessionFeatures("", error.shortcoming, single)
 
 
 def _from_one_turn(recording: Recording) -> Recording:

@@ -14,7 +14,7 @@ CYCLE, SYSTEM = "cycle", "system"
 
 
 @dataclass(frozen=True)
-class Alone:
+class Single:
     """A record that can be asked without others: a large cycle, or a system of another kind.
 
     channels : (m,) each: time_s, stretch, stress (kPa) of a cycle; time_s, input, output of a system
@@ -36,11 +36,11 @@ class SessionFeatures:
     ----------
     content : as `pipeline.diagnose.features.encode` packs it; empty where there is none
     refused : why there is none
-    alone : the record itself, where it says something without a session
+    single : the record itself, where it says something without a session
     unanswered : why a test that gives a frequency response gave none; empty where it gave one, or its protocol gives none
     """
 
     content: str
     refused: str = ""
-    alone: Alone | None = None
+    single: Single | None = None
     unanswered: str = ""

@@ -43,7 +43,7 @@ AnyTask = TypeVar("AnyTask", bound="Task")
 Result = TypeVar("Result")
 Track: TypeAlias = Callable[[Iterable[Any], int, str], Iterable[Any]]
 """Shows progress: (items, how many, what they are) to the same items."""
-_MORTAL = "pipeline.mortal"
+_END_WITH_PARENT = "pipeline.end_with_parent"
 _RESTARTS = 20
 """How often a pool that broke as a whole is opened again before the night gives up."""
 _CONTAINER = "/sys/fs/cgroup/memory.max"
@@ -268,8 +268,8 @@ def prepare_workers(preload: Sequence[str]) -> Any:
     from multiprocessing.forkserver import ensure_running
 
     context = multiprocessing.get_context("forkserver")
-    os.environ["DEALAB_PARENT"] = str(os.getpid())  # for `pipeline.mortal`
-    context.set_forkserver_preload([_MORTAL, *preload])
+    os.environ["DEALAB_PARENT"] = str(os.getpid())  # for `pipeline.end_with_parent`
+    context.set_forkserver_preload([_END_WITH_PARENT, *preload])
     with start_without_working_folder():
         ensure_running()
     return context

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.analyse import diagnosed_alone as alone
+from pipeline.analyse import single_diagnosis
 from pipeline.analyse.diagnosis import analyse_diagnosis
 from pipeline.analyse.inputs import Measured
 from pipeline.analyse.recording import analyse_recording
@@ -31,7 +31,9 @@ def recorded(unanswered: str = "") -> Measured:
     given = {"interval_s": 0.01, "periodic": 0.0}
     values = np.zeros(4)
     object.__setattr__(
-        kept, "alone", SimpleNamespace(kind=SYSTEM, given=given, channels={"input": values, "output": values}, unit="1")
+        kept,
+        "single",
+        SimpleNamespace(kind=SYSTEM, given=given, channels={"input": values, "output": values}, unit="1"),
     )
     results: list[Any] = [kept]
     object.__setattr__(kept, "refused", "other chirp recordings are not simulated")
@@ -45,7 +47,7 @@ def test_the_row_says_why_a_system_has_no_diagnosis_and_not_that_it_is_not_simul
     def refuse(*_: object) -> None:
         raise NotIdentifiableError("the record is too short", where="S-1", expected="a longer one")
 
-    monkeypatch.setattr(alone, "diagnose_system", refuse)
+    monkeypatch.setattr(single_diagnosis, "diagnose_system", refuse)
     tables = analyse_diagnosis("S-1", [recorded()], []).tables
     (row,) = tables["diagnoses"][0].to_pylist()
     assert row["verdict"] is None
@@ -66,12 +68,12 @@ def test_the_row_says_why_a_system_has_no_diagnosis_and_not_that_it_is_not_simul
 def test_no_cause_rests_on_a_refused_response(
     monkeypatch: pytest.MonkeyPatch, verdict: str, unanswered: str, refused: bool
 ) -> None:
-    monkeypatch.setattr(alone, "diagnose_system", lambda *_: (SimpleNamespace(verdict=verdict), None))
+    monkeypatch.setattr(single_diagnosis, "diagnose_system", lambda *_: (SimpleNamespace(verdict=verdict), None))
     if refused:
         with pytest.raises(NotIdentifiableError, match=r"the response of r1 is refused.*stops early"):
-            alone.diagnosed_alone("S-1", [recorded(unanswered)])
+            single_diagnosis.diagnose_single("S-1", [recorded(unanswered)])
     else:
-        found = alone.diagnosed_alone("S-1", [recorded(unanswered)])
+        found = single_diagnosis.diagnose_single("S-1", [recorded(unanswered)])
         assert found is not None
         assert found[0].verdict == verdict
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.analyse.cycle import given_law, stretch_and_stress
-from pipeline.analyse.session_features import CYCLE, SYSTEM, Alone
+from pipeline.analyse.session_features import CYCLE, SYSTEM, Single
 from pipeline.transform.sampling import runs
 from schemas.errors import NotIdentifiableError
 from schemas.protocols import OTHER
@@ -22,14 +22,14 @@ _EVEN = 0.01
 """Share of an interval by which the sampling of a system may err."""
 
 
-def alone_of(recording: Recording) -> Alone | None:
+def take_single(recording: Recording) -> Single | None:
     """What the diagnosis can ask of a recording without others; None for recordings that belong to a session."""
     if recording.metadata.loading == OTHER:
         return _of_system(recording)
     return _of_cycle(recording) if recording.metadata.protocol == CYCLE else None
 
 
-def _of_cycle(recording: Recording) -> Alone | None:
+def _of_cycle(recording: Recording) -> Single | None:
     try:
         time, stretch, stress = stretch_and_stress(recording)
         given = given_law(recording.metadata)
@@ -37,10 +37,10 @@ def _of_cycle(recording: Recording) -> Alone | None:
         return None  # the cycle's own fits say why
     every = -(-time.size // _OF_CYCLE)
     channels = {"time_s": time[::every], "stretch": stretch[::every], "stress": stress[::every]}
-    return Alone(CYCLE, channels, given or {})
+    return Single(CYCLE, channels, given or {})
 
 
-def _of_system(recording: Recording) -> Alone | None:
+def _of_system(recording: Recording) -> Single | None:
     """Input and output against their means, of the longest part without a lost sample; None where they are not sampled evenly and together."""
     given, answer = recording.channels["input"], recording.channels["output"]
     steps = np.diff(given.time_ns)
@@ -59,7 +59,7 @@ def _of_system(recording: Recording) -> Alone | None:
     part = slice(first, first + _OF_SYSTEM)
     period = recording.metadata.period_s
     one_period = period is not None and abs(period / (interval * 1e-9) - n) < 0.5
-    return Alone(
+    return Single(
         SYSTEM,
         {"input": inputs[part], "output": outputs[part]},
         {"interval_s": interval * 1e-9, "periodic": float(one_period)},

@@ -1,6 +1,6 @@
 """Diagnosis of a specimen whose records are asked without a session: one large cycle, or the records of a system.
 
-Apart from `alone`, which the stage of a recording uses: a change of how causes are found must not repeat that stage.
+Apart from `single`, which the stage of a recording uses: a change of how causes are found must not repeat that stage.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
 
 
-def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[Diagnosis, Comparison] | None:
+def diagnose_single(specimen_id: str, recordings: Sequence[Measured]) -> tuple[Diagnosis, Comparison] | None:
     """The diagnosis of a specimen whose records can be asked alone: one large cycle, or those of a system.
 
     None for others.
@@ -28,11 +28,11 @@ def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[D
     Raises `NotIdentifiableError` where the records do not carry it, and where a cause would rest on a test whose response is refused.
     """
     tests = [r for r in recordings if isinstance(r.metadata, RecordingMetadata)]
-    asked = [(r, kept.alone) for r in tests for kept in r.of(SessionFeatures) if kept.alone is not None]
-    kinds = {alone.kind for _, alone in asked}
+    asked = [(r, kept.single) for r in tests for kept in r.of(SessionFeatures) if kept.single is not None]
+    kinds = {single.kind for _, single in asked}
     if len(asked) == len(tests) == 1 and kinds == {CYCLE}:
-        ((recording, alone),) = asked
-        c, law = alone.channels, alone.given or None
+        ((recording, single),) = asked
+        c, law = single.channels, single.given or None
         about = recording.metadata
         cycle = make_cycle(
             c["time_s"],
@@ -44,17 +44,17 @@ def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[D
             section_over_length_mm=section_over_length_mm(about) if isinstance(about, RecordingMetadata) else None,
         )
         return diagnose_cycle(cycle)
-    if kinds != {SYSTEM} or len({round(alone.given["interval_s"], 12) for _, alone in asked}) != 1:
+    if kinds != {SYSTEM} or len({round(single.given["interval_s"], 12) for _, single in asked}) != 1:
         return None
     records = [
         SystemRecord(
             r.recording_id,
-            alone.channels["input"],
-            alone.channels["output"],
-            alone.given["interval_s"],
-            periodic=bool(alone.given["periodic"]),
+            single.channels["input"],
+            single.channels["output"],
+            single.given["interval_s"],
+            periodic=bool(single.given["periodic"]),
         )
-        for r, alone in asked
+        for r, single in asked
     ]
     protocols = [r.metadata.protocol for r, _ in asked if isinstance(r.metadata, RecordingMetadata)]
     found, comparison = diagnose_system(specimen_id, records, protocols, asked[0][1].unit)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.analyse.alone import alone_of
+from pipeline.analyse.single import take_single
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
 
@@ -36,7 +36,7 @@ def _multisine(*lost: int) -> Recording:
 )
 def test_the_longest_part_without_a_loss_is_asked(lost: tuple[int, ...], first: int, last: int) -> None:
     recording = _multisine(*lost)
-    found = alone_of(recording)
+    found = take_single(recording)
     assert found is not None
     part = recording.channels["output"].values[first:last]
     assert found.channels["output"] == pytest.approx(part - part.mean())
@@ -44,4 +44,4 @@ def test_the_longest_part_without_a_loss_is_asked(lost: tuple[int, ...], first: 
 
 
 def test_a_record_of_lost_samples_alone_is_not_asked() -> None:
-    assert alone_of(_multisine(*range(PERIOD * PERIODS))) is None
+    assert take_single(_multisine(*range(PERIOD * PERIODS))) is None
