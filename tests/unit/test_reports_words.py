@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 from markupsafe import Markup
@@ -13,6 +14,7 @@ from reports.evidence import Standing
 from reports.pages import specimens
 from reports.pages.campaign import lives
 from reports.pages.campaign.lives import decisive
+from reports.pages.index import page as index
 from reports.pages.index.page import end_in_words, tally
 from reports.pages.index.trouble import reason
 from reports.pages.specimen import diagnosis as diagnosis_page
@@ -123,6 +125,29 @@ def test_remarks_on_groups_are_said_once_and_keep_the_names_of_groups() -> None:
     ]
     of = lives.Lives(3, 3, 10.0, [], [], rows, [], [], [], {})
     assert lives._remarks(of) == ["Short.", "case 1: −3 s is left out.", "case 2 and case 3: few."]
+
+
+def test_lives_of_one_design_are_told_by_their_law_and_medians() -> None:
+    """It was "29 of 36 specimens failed" where an exponent and medians are what a laboratory asks for."""
+    rows = [
+        {
+            "configuration": "B",
+            "voltage_kv": volts,
+            "median_s": median,
+            "median_s_lower": median / 2,
+            "median_s_upper": upper,
+        }
+        for volts, median, upper in ((4.0, 432000.0, None), (5.0, 57600.0, 97200.0))
+    ]
+    law = {"configuration": "B", "exponent": -9.393, "exponent_lower": -12.03, "exponent_upper": -7.162}
+    of = lives.Lives(36, 29, 576000.0, [], [], rows, [], [], [], {}, [law])
+    told = "29 of 36 specimens failed; life goes with the voltage to the power −9.4 (−12.0 to −7.2)"
+    assert lives.headline(of).replace("\u00a0", " ") == told
+    assert lives.support(of).replace("\u00a0", " ") == (
+        "Median life, 95 % interval: 4 kV 120 (≥ 60) h; 5 kV 16 (8–27) h."
+    )
+    assert index.headline([], [("B", of)], {("ok", True): 2}) == lives.headline(of)
+    assert lives.support(replace(of, summaries=[])) == ""
 
 
 def test_the_cause_of_a_doubtful_specimen_is_not_the_only_one() -> None:

@@ -39,6 +39,8 @@ from schemas.numbers import (
     with_unit,
 )
 
+_GROUPS = 6
+"""Groups whose medians stand beside a headline."""
 _EFFECT = "restricted mean"
 """The comparison that says by how much, in seconds."""
 
@@ -57,6 +59,7 @@ class Lives:
     quantiles: list[Record]
     notes: list[Record]
     queries: dict[str, Query]
+    laws: Sequence[Record] = ()
 
     @property
     def groups(self) -> list[tuple[str, float | None]]:
@@ -120,6 +123,11 @@ def load(draft: Draft, *, single: bool = True) -> Lives:
             parameters,
         ),
     }
+    powers = Query(
+        "SELECT configuration, exponent, exponent_lower, exponent_upper\nFROM voltage_life\nWHERE campaign = $campaign AND holds\n"
+        "  AND exponent_upper < 0 AND exponent_lower IS NOT NULL\nORDER BY configuration",
+        parameters,
+    )
     counted = Query(
         "SELECT count(*) AS tested, count(*) FILTER (WHERE failed) AS failed, coalesce(max(lifetime_s), 0) AS longest_s\n"
         "FROM lifetimes\nWHERE campaign = $campaign",
@@ -139,6 +147,7 @@ def load(draft: Draft, *, single: bool = True) -> Lives:
         rows["quantiles"],
         rows["notes"],
         queries,
+        draft.results.rows(powers),
     )
 
 
@@ -166,6 +175,8 @@ def headline(lives: Lives) -> str:
         return survival_title(best, lives.summaries)
     if lives.tested:
         tested = f"{lives.failed} of {lives.tested} specimens failed"
+        if best is None and len(lives.laws) == 1:
+            return f"{tested}; life goes with the voltage to the power {write_bounds(lives.laws[0], 'exponent')}"
         return f"{tested}; no difference between the groups is shown" if best is not None else tested
     return ""
 
@@ -174,7 +185,7 @@ def support(lives: Lives) -> str:
     """The numbers behind the headline."""
     best = decisive(lives.comparisons)
     if best is None:
-        return ""
+        return _tell_medians(lives)
     parts = []
     for s in lives.summaries:
         if (
@@ -188,6 +199,18 @@ def support(lives: Lives) -> str:
     means = f"Restricted mean life{until}, 95 % interval: {'; '.join(parts)}. " if parts else ""
     holm = f" ({p_equals(best['p_value_holm'])} after Holm)" if best["p_value_holm"] is not None else ""
     return f"{means}{words.test(best['test'])}: {p_equals(best['p_value'])}{holm}."
+
+
+def _tell_medians(lives: Lives) -> str:
+    """The median life of each group of one configuration, with its limits; empty where there are none."""
+    known = [s for s in lives.summaries if s["median_s"] is not None]
+    if not known or len(known) > _GROUPS:
+        return ""
+    parts = [
+        f"{lives.label((s['configuration'], s['voltage_kv']), 40)} {write_bounds(s, 'median_s', lives.unit[0])}{NBSP}{lives.unit[1]}"
+        for s in known
+    ]
+    return f"Median life, 95 % interval: {'; '.join(parts)}."
 
 
 def survival(draft: Draft, lives: Lives) -> Section | None:

@@ -180,7 +180,9 @@ def headline(
         return capital(
             f"no result: {'the one recording' if usable == 1 else f'all {word(usable)} recordings'} led to none"
         )
-    return capital(f"{counted(usable, 'recording')}, no model fitted yet{also}")
+    came = f"{counted(usable, 'recording')}, no model fitted yet"
+    told = next((text for _, x in survival if (text := lives.headline(x))), came)
+    return capital(f"{told}{also}")
 
 
 def _clear(found: lives.Lives) -> bool:
