@@ -178,21 +178,32 @@ def _find_room(
 
     A place nearer to another curve than to its own is taken only where there is no other: there it would be read as that one's name.
     """
-    x, y = np.vstack([own, *others]).T
-
-    def rate(left: float, top: float) -> float:
-        right, bottom = left + wide, top + high
-        covered = np.sum((x > left - _ROOM) & (x < right + _ROOM) & (y > top - _ROOM) & (y < bottom + _ROOM))
-        hidden = sum(left < d and c < right and top < f and e < bottom for c, d, e, f in taken)
-        box = (left, right, top, bottom)
-        away = float(_distances(box, own).min())
-        nearest = min((float(_distances(box, other).min()) for other in others), default=np.inf)
-        return away + _MISTAKEN * max(away - nearest, 0.0) + _COVERED * float(covered) + _COVERED**2 * hidden
-
     lefts = np.arange(panel.left + 6, max(panel.right + 24 - wide, panel.left + 7), 6.0)
     tops = np.arange(panel.top + 16, panel.bottom - high - 4, 6.0)
-    left, top = min(((float(x), float(y)) for x in lefts for y in tops), key=lambda place: rate(*place))
+    x, y = np.vstack([own, *others]).T
+    beside = (x > lefts[:, None] - _ROOM) & (x < lefts[:, None] + wide + _ROOM)
+    within = (y > tops[:, None] - _ROOM) & (y < tops[:, None] + high + _ROOM)
+    covered = beside.astype(float) @ within.T.astype(float)
+    hidden = np.zeros_like(covered)
+    for left, right, top, bottom in taken:
+        level = (tops < bottom) & (top < tops + high)
+        hidden += ((lefts < right) & (left < lefts + wide))[:, None] & level
+    away = _least_distances(lefts, tops, wide, high, own)
+    nearest = np.full_like(away, np.inf)
+    for other in others:
+        nearest = np.minimum(nearest, _least_distances(lefts, tops, wide, high, other))
+    cost = away + _MISTAKEN * np.maximum(away - nearest, 0.0) + _COVERED * covered + _COVERED**2 * hidden
+    across, down = np.unravel_index(int(np.argmin(cost)), cost.shape)
+    left, top = float(lefts[across]), float(tops[down])
     return left, left + wide, top, top + high
+
+
+def _least_distances(lefts: Float, tops: Float, wide: float, high: float, points: Float) -> Float:
+    """(L, T) least distances of points (n, 2) from boxes at `lefts` (L,) and `tops` (T,), px; 0 within one."""
+    right, below = lefts[:, None] + wide, tops[:, None] + high
+    across = np.maximum(np.maximum(lefts[:, None] - points[:, 0], points[:, 0] - right), 0.0)
+    down = np.maximum(np.maximum(tops[:, None] - points[:, 1], points[:, 1] - below), 0.0)
+    return np.asarray(np.sqrt(np.min(across[:, None] ** 2 + down[None] ** 2, axis=-1)))
 
 
 def _distances(box: tuple[float, float, float, float], points: Float) -> Float:
