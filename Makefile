@@ -1,6 +1,7 @@
 # make demo    sets up, simulates a measuring campaign, runs the nightly over it, says what to try next
 # make test    sets up and runs the tests: what continuous integration runs
-# make long    the tests that take longest: further sessions in which an effect is hidden, and what is judged over many draws
+# make long    the tests that take longest: further sessions in which an effect is hidden, further cases of what make test asks
+#              once, whole nights, and what is judged over many draws
 # make quick   sets up and runs the short tests: unit, readers, and the physics that takes moments
 # make bench   benchmarks against other libraries, side by side; writes tests/benchmarks/results.md
 # make study   the long statistical studies that the READMEs quote; writes tests/studies/results.md

@@ -208,6 +208,10 @@ class _Met:
         return new
 
 
+_OF_A_LAB = frozenset({"results.duckdb", "samples", "reports"})
+"""Names that a folder has together where it is a lab, which may lie among raw files."""
+
+
 class _Walk:
     def __init__(
         self,
@@ -272,6 +276,9 @@ class _Walk:
         if folder.suffix.lower() == ".mcap":
             self._pass(folder, "a folder with the name of a recording: what is in it is looked at")
         names = sorted(os.listdir(folder))
+        if set(names) >= _OF_A_LAB:
+            self._pass(folder, "another lab: what dealab made is no raw data: passed over")
+            return iter(())
         for name in names:
             if name.startswith((".", "~$")):
                 self.tally.take_hidden(name, self._spell(root))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -23,15 +24,23 @@ settings.load_profile(os.environ.get("DEALAB_HYPOTHESIS", "same"))
 
 
 _QUICK = {"unit", "readers", "physics"}
-"""Folders whose tests are quick unless they are marked `slow` or `study`."""
+"""Folders whose tests are quick unless they are marked `slow`, `study` or `long`."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Every test has the name of its folder as a marker, and `quick` where it is quick; see `pyproject.toml`."""
+    """Every test has the name of its folder as a marker, `quick` where it is quick, and `long` after the first cases of a test that says
+    so; see `pyproject.toml`."""
+    cases: Counter[str] = Counter()
     for item in items:
+        after = item.get_closest_marker("long_after")
+        if after is not None:
+            name = item.nodeid.partition("[")[0]
+            cases[name] += 1
+            if cases[name] > after.args[0]:
+                item.add_marker("long")
         folder = item.path.relative_to(ROOT / "tests").parts[0]
         item.add_marker(folder)
-        if folder in _QUICK and not any(item.get_closest_marker(name) for name in ("slow", "study")):
+        if folder in _QUICK and not any(item.get_closest_marker(name) for name in ("slow", "study", "long")):
             item.add_marker("quick")
 
 

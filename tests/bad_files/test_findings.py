@@ -71,6 +71,7 @@ def test_a_checksum_over_samples_speaks_of_samples(tmp_path: Path) -> None:
     assert any("samples and metadata may have changed" in problem for problem in raw.problems)
 
 
+@pytest.mark.long_after(3)
 @pytest.mark.parametrize("reader", list(seeds.READERS))
 def test_mutated_files_keep_every_promise(reader: str, tmp_path: Path) -> None:
     """A few hundred of the cases of `make fuzz`; the slow and the large are left to it, for other tests run here too."""

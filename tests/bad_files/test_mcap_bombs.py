@@ -98,6 +98,7 @@ def gibibyte(request: pytest.FixtureRequest) -> tuple[str, bytes]:
 GOOD = chunk(DEFINITIONS + message(1, 0, START, block(START, 1e-3, [1.0, 2.0])))
 
 
+@pytest.mark.long_after(4)
 @pytest.mark.parametrize("declared", [1024 * MIB, 256 * MIB, 10_000_000, 1000, 0, 2**63])
 def test_a_gibibyte_bomb_costs_no_memory(tmp_path: Path, gibibyte: tuple[str, bytes], declared: int) -> None:
     kind, stored = gibibyte
@@ -181,6 +182,7 @@ def test_definitions_that_grow_when_parsed(tmp_path: Path) -> None:
     assert any("definitions" in problem for problem in told["problems"])
 
 
+@pytest.mark.long
 def test_as_many_channels_as_there_can_be(tmp_path: Path) -> None:
     count = 60_000
     definitions = b"".join(channel(i, f"/{i:x}", {}) for i in range(3, count))

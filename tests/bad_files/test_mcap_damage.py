@@ -124,6 +124,7 @@ def is_right_or_told(recording: RawRecording | None) -> bool:
     return all(set(samples) <= originals().get(q, set()) for q, samples in found.items())
 
 
+@pytest.mark.long
 def test_one_flipped_bit_in_every_byte(good: Path, tmp_path: Path) -> None:
     content = good.read_bytes()
     rng = random.Random(7)

@@ -47,6 +47,7 @@ def place_of(browser: chromium.Chromium, expression: str) -> Any:
     )
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize(
     "page", ["index.html", SPECIMEN, RECORDING, "campaigns/film-dynamics.html", "control.html", "recordings.html"]
 )
@@ -253,6 +254,7 @@ def test_values_are_said_without_a_script(browser: chromium.Chromium, site: Path
     assert re.fullmatch(r"[\d.]+ Hz: [\d.]+ N/mm", hit[1].replace("\u00a0", " "))
 
 
+@pytest.mark.long
 def test_pages_keep_their_form_until_told_otherwise(tmp_path: Path) -> None:
     lab = synthetic_lab.small_story().write(tmp_path / "lab")
     index = lab / "reports" / "index.html"

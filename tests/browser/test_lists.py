@@ -44,6 +44,7 @@ def lists_of(lab: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in names}
 
 
+@pytest.mark.long
 def test_a_new_recording_leaves_the_full_parts_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lists, "PART", 4)
     story = synthetic_lab.Story()

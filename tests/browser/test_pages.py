@@ -38,6 +38,7 @@ def path_of(site: Path, kind: str) -> Path:
     return next(iter(sorted(site.glob(KINDS[kind]))))
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("kind", KINDS)
 def test_page(browser: chromium.Chromium, site: Path, kind: str) -> None:
     path = path_of(site, kind)
@@ -69,6 +70,7 @@ def violations(browser: chromium.Chromium) -> list[dict[str, object]]:
     return found
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("width", [1100, 420])
 @pytest.mark.parametrize("kind", KINDS)
 def test_axe_finds_nothing(browser: chromium.Chromium, site: Path, kind: str, width: int) -> None:
@@ -85,6 +87,7 @@ def test_axe_would_find_something(browser: chromium.Chromium, tmp_path: Path) ->
     assert {"image-alt", "color-contrast", "html-has-lang"} <= found
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("story", ["only_refused", "small_story", "Story"])
 def test_axe_finds_nothing_on_the_page_of_a_lab_with_little(
     browser: chromium.Chromium, tmp_path: Path, story: str
@@ -93,6 +96,7 @@ def test_axe_finds_nothing_on_the_page_of_a_lab_with_little(
     assert violations(browser) == []
 
 
+@pytest.mark.long_after(2)
 @pytest.mark.parametrize("kind", ["index", "control", "specimen", "campaign-survival", "recording-hostile"])
 def test_printing(browser: chromium.Chromium, site: Path, kind: str) -> None:
     browser.open(path_of(site, kind))

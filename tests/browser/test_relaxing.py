@@ -59,6 +59,7 @@ def drawn(lab: Path, kind: str) -> dict[str, np.ndarray]:
     return {name: table.column(name).to_numpy() for name in table.column_names}
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("ramp", [0.1, 1.5])
 def test_points_lie_on_the_true_relaxation_after_a_short_and_a_long_ramp(tmp_path: Path, ramp: float) -> None:
     lab = lab_with_a_step(tmp_path, ramp=ramp)
@@ -129,6 +130,7 @@ def test_the_recordings_own_page_draws_it_without_a_model(tmp_path: Path) -> Non
     assert np.all(np.diff(data["time_s"]) > 0)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_points_of_a_fast_ramp_in_a_long_record_are_those_of_the_analysis(tmp_path: Path) -> None:
     """Of a ramp of 1.5 s in 45 minutes the preview has a single bin: its points lay a third below the model that fits them."""

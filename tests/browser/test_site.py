@@ -132,6 +132,7 @@ def test_forced_everything_is_made_and_nothing_changes(small: Path) -> None:
     assert contents(small / "reports") == before
 
 
+@pytest.mark.long
 def test_workers_make_the_same_pages(lab: Path, tmp_path: Path) -> None:
     other = tmp_path / "lab"
     other.mkdir()
@@ -184,6 +185,7 @@ def test_pages_of_what_is_gone_are_removed(lab: Path, tmp_path: Path) -> None:
     assert not [p for p in contents(copy / "reports") if "S-02" in p]
 
 
+@pytest.mark.long
 def test_a_lost_or_broken_manifest_makes_everything_anew(small: Path) -> None:
     before = contents(small / "reports")
     lines = (small / "reports" / NAME).read_text().splitlines(keepends=True)
@@ -405,6 +407,7 @@ def work(lab: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[int, int, int]:
     return result.pages_written, len(asked), sum(asked)
 
 
+@pytest.mark.long
 def test_hundreds_of_recordings_stay_small_and_cost_in_proportion(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -427,6 +430,7 @@ def test_a_preview_of_full_length_stays_small(tmp_path: Path) -> None:
     assert largest.stat().st_size <= 200_000
 
 
+@pytest.mark.long
 def test_one_new_recording_in_a_large_campaign_touches_a_handful_of_pages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -470,6 +474,7 @@ def test_long_lists_come_in_parts_and_the_index_stays_small(tmp_path: Path, monk
         Parsed(path.read_text(encoding="utf-8"))
 
 
+@pytest.mark.long
 def test_where_memory_does_not_do_more_is_taken(small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     other = tmp_path / "lab"
     other.mkdir()

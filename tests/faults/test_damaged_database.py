@@ -108,6 +108,7 @@ def test_a_new_database_with_a_broken_block_is_not_published(
     assert left_over(lab) == []
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("where", [("recordings", "metadata"), ("previews", "low")], ids=lambda where: where[0])
 def test_a_published_database_with_a_broken_block_is_told_and_left(
     made: tuple[Path, Path], lab: Lab, tmp_path: Path, where: tuple[str, str]
@@ -128,6 +129,7 @@ def test_a_published_database_with_a_broken_block_is_told_and_left(
     assert healthy(lab) == []
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize(
     ("edit", "told"),
     [
@@ -179,6 +181,7 @@ def put_another_duckdb(path: Path) -> None:
         connection.execute("CREATE TABLE t AS SELECT 1 AS a")
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("put", [put_sqlite, put_another_duckdb, Path.touch, Path.mkdir, os.mkfifo])
 def test_what_is_no_database_of_ours_is_told_at_once(
     put: Callable[[Path], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -46,6 +46,7 @@ def _spin(mark: Path) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.long_after(1)
 @on_linux
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
 @pytest.mark.parametrize("moment", ["while its workers load", "while they parse"])
@@ -104,6 +105,7 @@ for _ in range(4):
 """
 
 
+@pytest.mark.long_after(2)
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("work", ["query_for_ever", "query_as_the_snapshot_does"])

@@ -53,6 +53,7 @@ def statuses(lab: Lab) -> dict[str, tuple[str, str]]:
     return {Path(path).stem: (status, problem or "") for path, status, problem in rows}
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's")
 def test_a_lost_worker_costs_its_recording_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None
@@ -99,6 +100,7 @@ def test_a_lost_worker_costs_its_recording_only(
     assert select(lab, "SELECT count(*) FROM accidents") == [(0,)]
 
 
+@pytest.mark.long
 def test_an_accident_takes_no_earlier_result_away(
     made: tuple[Path, Lab], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None
 ) -> None:
@@ -140,6 +142,7 @@ def test_an_accident_takes_no_earlier_result_away(
     assert content(lab) == before
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stage", [SPECIMEN, DIAGNOSIS, GROUP])
 def test_an_accident_of_an_analysis_takes_no_earlier_result_away(
     made: tuple[Path, Lab], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None, stage: StageName
@@ -207,6 +210,7 @@ def test_a_clock_set_back_changes_nothing(
     assert runs[1][1] < runs[0][1]
 
 
+@pytest.mark.long
 def test_unreadable_files_and_folders(made: tuple[Path, Lab], tmp_path: Path) -> None:
     """A file without rights is refused, a folder without rights passed over with a note; both are taken up later."""
     command = [sys.executable, "-m", "pipeline.cli"]
@@ -260,6 +264,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return Bench(tmp_path_factory.mktemp("bench"), chirps=0, lives=2)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="looks processes up in /proc")
 def test_the_harness_in_short(bench: Bench) -> None:
     """`make faults` does the same with more recordings, 50 times, with 20 publishes and a dozen sizes of disk."""

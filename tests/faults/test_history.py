@@ -15,6 +15,7 @@ def index_of(lab: Lab) -> str:
     return (lab.reports / "index.html").read_text(encoding="utf-8").replace("\u00a0", " ")
 
 
+@pytest.mark.long
 def test_a_night_tells_what_it_moved_and_why(tmp_path: Path) -> None:
     raw, lab = small_campaign(tmp_path / "raw"), Lab(tmp_path / "lab")
     nightly([raw], lab, jobs=0)

@@ -100,6 +100,7 @@ def test_a_lab_may_be_reached_through_a_link(made: tuple[Path, Lab], tmp_path: P
     assert nightly([made[0]], Lab(tmp_path / "lab"), jobs=0).exit_status == 0
 
 
+@pytest.mark.long
 def test_lost_samples_come_back_the_same_night(made: tuple[Path, Lab], tmp_path: Path) -> None:
     """As `doctor` says: what is unreadable is removed, and the next nightly over the raw files makes it again."""
     lab = Lab(tmp_path / "lab")

@@ -42,6 +42,7 @@ def expected(lab: Lab, name: str) -> int:
     return int(select(lab, f"SELECT sample_count FROM recordings WHERE recording_id = '{name}'")[0][0])
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("name", IDS)
 def test_samples_in_sql(lab: Lab, name: str) -> None:
     with Query(lab) as query:
@@ -58,6 +59,7 @@ def test_samples_of_all_in_one_query(lab: Lab) -> None:
     assert len(set(found.values())) == len(IDS), "each has its own noise, the twins too"
 
 
+@pytest.mark.long_after(18)
 @pytest.mark.parametrize("name", IDS)
 def test_samples_in_a_notebook(lab: Lab, name: str) -> None:
     assert len(Notebook(lab.folder).samples(name)) == expected(lab, name)

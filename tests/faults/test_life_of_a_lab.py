@@ -95,6 +95,7 @@ def test_old_samples_go_and_their_results_stay(night: tuple[Path, Lab]) -> None:
     assert prune(lab, Rule(samples_days=10), now).paths == []
 
 
+@pytest.mark.long
 def test_recordings_that_have_gone_are_forgotten(night: tuple[Path, Lab]) -> None:
     raw, lab = night
     (raw / "P-1-chirp-1.mcap").unlink()
@@ -168,6 +169,7 @@ def test_backup_and_restore_as_the_readme_says(night: tuple[Path, Lab], tmp_path
 # --- newer software -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kept", sorted(LABS.glob("*.tar.xz")), ids=lambda path: path.name.removesuffix(".tar.xz"))
 def test_labs_of_earlier_software_are_taken_over(kept: Path, tmp_path: Path) -> None:
     with tarfile.open(kept) as archive:

@@ -36,6 +36,7 @@ def told(module: str, *arguments: str) -> dict[str, float]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of memory is Linux's")
 @pytest.mark.parametrize(("measure", "limits"), [(memory, LIMITS), (report_memory, REPORT_LIMITS)])
 def test_four_times_the_recordings_take_no_more_memory(

@@ -58,6 +58,7 @@ def digest_of_a_page(lab: Lab, recording: str) -> str:
         return digests(results).of("recording", recording)
 
 
+@pytest.mark.long
 def test_a_new_table_needs_one_definition(tmp_path: Path) -> None:
     raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
     raw.mkdir()

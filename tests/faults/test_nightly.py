@@ -118,6 +118,7 @@ def test_nothing_new_does_nothing_and_says_so(night: Any) -> None:
     assert redone(night.lab) == set()
 
 
+@pytest.mark.long
 def test_a_night_with_nothing_new_imports_nothing_heavy(made: tuple[Path, Path], tmp_path: Path) -> None:
     """Importing takes longer than such a night's work."""
     lab = shutil.copytree(made[1], tmp_path / "lab")
@@ -145,6 +146,7 @@ def run_with_workers(raw: Path, lab: Path, jobs: int) -> list[str]:
     return found.stdout.splitlines()
 
 
+@pytest.mark.long
 def test_workers_give_the_same_as_this_process_and_spare_it_the_heavy_imports(night: Any, tmp_path: Path) -> None:
     fresh = Lab(tmp_path / "fresh")
     assert run_with_workers(night.raw, fresh.folder, jobs=2) == ["6 None", "[]"]
@@ -169,6 +171,7 @@ def test_folders_tell_that_something_is_new(made: tuple[Path, Path], tmp_path: P
     assert has_newer_folder([raw], lab)
 
 
+@pytest.mark.long
 def test_one_new_recording_redoes_what_it_touches(night: Any) -> None:
     life(night.raw / "L-9.mcap", 9)
     night()
@@ -178,6 +181,7 @@ def test_one_new_recording_redoes_what_it_touches(night: Any) -> None:
     assert redone(night.lab) == {"P-1-chirp-9", "specimen:P-1", "diagnosis:P-1"}
 
 
+@pytest.mark.long
 def test_a_changed_rig_file_redoes_what_depends_on_it_and_a_remark_does_not(night: Any) -> None:
     rig = night.raw / "rigs" / "rig-a.toml"
     rig.write_text("# weighed on the first of March\n" + RIG)
@@ -241,6 +245,7 @@ def select_group(path: Path, group: str, **more: str) -> None:
     )
 
 
+@pytest.mark.long
 def test_the_same_content_mapped_in_two_ways_is_two_recordings(tmp_path: Path, without_pages: None) -> None:
     """A recording is content and mapping: what is read, not which bytes it stands in."""
     raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
@@ -282,6 +287,7 @@ def test_same_id_with_other_content_is_a_conflict_and_the_first_stays(night: Any
     assert night().exit_status == 3
 
 
+@pytest.mark.long
 def test_ids_that_differ_by_case_are_one_where_the_file_system_keeps_one_file(night: Any) -> None:
     """Elsewhere the samples of the second would have been those of the first, without a word."""
     life(night.raw / "other.mcap", 7, name="l-0")
@@ -298,6 +304,7 @@ def test_ids_that_differ_by_case_are_one_where_the_file_system_keeps_one_file(ni
     assert night().exit_status == 0
 
 
+@pytest.mark.long
 def test_a_conflict_is_resolved_when_the_first_gets_another_id(night: Any) -> None:
     """The mapping of a table is changed, so that its id is free for the file that was refused for it."""
     table = night.raw / "lives.csv"
@@ -402,6 +409,7 @@ def test_the_garbage_collector_is_left_as_it_was(night: Any, tmp_path: Path) -> 
     assert gc.get_threshold() == before
 
 
+@pytest.mark.long
 def test_every_file_that_is_not_read_has_an_item_and_a_line(night: Any) -> None:
     """Licences, unknown endings and R data went without a word: neither the page nor the database knew of them."""
     for name in ("LICENSE", "lives.rda", "fit.MPL", "table.csv"):
@@ -458,6 +466,7 @@ HOSTILE = [
 ]
 
 
+@pytest.mark.long
 def test_hostile_metadata_does_no_harm(night: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for number, text in enumerate(HOSTILE):
         more = {"specimen_id": text, "operator": text, "notes": text, "configuration": text, "campaign": text}

@@ -13,6 +13,7 @@ from reports.site import Site
 from tests.helpers import synthetic_lab
 
 
+@pytest.mark.long
 def test_one_page_fails_and_all_others_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lab = synthetic_lab.small_story().write(tmp_path / "lab")
     whole = build_reports(lab)

@@ -79,6 +79,7 @@ def no_fetching(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipeline.nightly.look, "fetch", fail)
 
 
+@pytest.mark.long
 def test_a_bucket_gives_what_the_folder_gives(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     raw = small_campaign(tmp_path / "raw", chirps=1, lives=2)
     fill(bucket, raw)
@@ -111,6 +112,7 @@ def test_an_object_put_a_moment_ago_is_known_the_next_time(
     assert run(bucket, lab).counts.reused == 3
 
 
+@pytest.mark.long
 def test_only_what_has_changed_is_fetched(bucket: Any, tmp_path: Path) -> None:
     raw = small_campaign(tmp_path / "raw", chirps=0, lives=5)
     fill(bucket, raw)
@@ -177,6 +179,7 @@ def test_a_single_object_with_what_lies_beside_it(bucket: Any, tmp_path: Path) -
     assert fetched_files(lab) == ["rig-a.toml"]
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("key", ["rig-1/../../escape.mcap", "rig-1//twice.mcap", "rig-1/" + "n" * 230 + ".mcap"])
 def test_names_that_are_no_local_names_are_passed_over(bucket: Any, tmp_path: Path, key: str) -> None:
     fill(bucket, small_campaign(tmp_path / "raw", chirps=0, lives=3))

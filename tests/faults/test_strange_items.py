@@ -27,6 +27,7 @@ pytestmark = [
 ]
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("put", strange_items.ALL)
 def test_one_strange_item_ends_no_night(
     put: Callable[[bytes], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from pipeline import Lab
 from tests.conftest import ROOT
 from tests.faults.lab_state import select
@@ -17,6 +19,7 @@ COMMAND = "import sys\nfrom dealab import main\nif __name__ == '__main__':\n    
 """What pip installs as `dealab`."""
 
 
+@pytest.mark.long
 def test_modules_in_the_working_folder_are_not_run(tmp_path: Path) -> None:
     """The command, its workers and the servers that Python starts for them."""
     raw, lab, mark = tmp_path / "raw", Lab(tmp_path / "lab"), tmp_path / "was-run"

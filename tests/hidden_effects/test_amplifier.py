@@ -36,6 +36,7 @@ def _screen(hidden: Sequence[str]) -> tuple[ExtendedFit, Signatures]:
     return base, compute_signatures(changes, base)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("beside", [(), pytest.param(("amplitude_softening",), marks=pytest.mark.long)])
 def test_the_lag_of_an_amplifier_is_read_whatever_is_beside_it(beside: tuple[str, ...]) -> None:
@@ -45,6 +46,7 @@ def test_the_lag_of_an_amplifier_is_read_whatever_is_beside_it(beside: tuple[str
     assert lag.of.leaves_film
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("id", ["leakage", "drive_offset", "amplitude_softening"])
 def test_what_is_no_lag_is_not_taken_for_one(id: str) -> None:

@@ -51,6 +51,7 @@ def diagnosis(id: str | None, seed: int = SEED, share: float = 1.0) -> Diagnosis
     return diagnose(features(id, seed, share))
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("seed", [SEED, ANOTHER_SEED])
 def test_nothing_is_found_where_nothing_is_hidden(seed: int) -> None:
     found = diagnosis(None, seed)
@@ -61,6 +62,7 @@ def test_nothing_is_found_where_nothing_is_hidden(seed: int) -> None:
     assert len(found.smallest_detectable) >= 18
 
 
+@pytest.mark.long_after(4)
 @pytest.mark.parametrize(
     "id",
     [
@@ -90,6 +92,7 @@ def test_the_hidden_effect_is_named_first(id: str) -> None:
     assert set(found.extension.severities) == set(found.mechanisms)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "effect",
     [
@@ -107,6 +110,7 @@ def test_what_the_actuation_does_over_the_voltage_is_told_apart(effect: Effect) 
     assert {*found.also_possible} <= {UNLISTED}
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("mains_hz", [50.0, 60.0])
 def test_mains_are_named_with_their_frequency(mains_hz: float) -> None:
     found = observe(made(Case(SEED), (Effect("mains_hum", 5e-3, {"mains_hz": mains_hz}),)))
@@ -124,6 +128,7 @@ def test_a_weaker_effect_is_named_beside_a_strong_one() -> None:
     assert set(found.mechanisms) == {"rig_constants", "cyclic_softening"}
 
 
+@pytest.mark.long
 def test_a_clamp_much_heavier_than_its_file_says_is_the_rigs() -> None:
     """The plain model starts on the wrong side of the clamp's resonance, and must get over it before anything else is blamed."""
     session = made(Case(HEAVY_CLAMP), (Effect("rig_constants", 0.2029),))
@@ -133,6 +138,7 @@ def test_a_clamp_much_heavier_than_its_file_says_is_the_rigs() -> None:
     assert covered
 
 
+@pytest.mark.long
 def test_a_film_that_hardly_goes_slack_is_seen() -> None:
     """A screen's share of a strong effect lies below the load at which a weak one begins: the search must not start there alone."""
     slack = Effect("slack", 0.04, {"residual": 0.02616, "softness": 0.10663})
@@ -187,6 +193,7 @@ ONCE_TAKEN_FOR_OTHERS = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "id", "severity", "shape", "others"), ONCE_TAKEN_FOR_OTHERS)
 def test_what_was_once_taken_for_something_else_is_told(
     seed: int, id: str, severity: float, shape: dict[str, float | str], others: set[str]
@@ -210,6 +217,7 @@ def test_a_rig_file_that_errs_is_named_beside_a_drift() -> None:
     }
 
 
+@pytest.mark.long
 def test_a_weak_effect_is_found_with_its_severity_whatever_the_order_and_the_names() -> None:
     """A delay of 40 µs at 1 kHz: 4 % of a sample, of either form; the interval holds the truth."""
     given = features("sensor_delay", share=0.1)
@@ -251,6 +259,7 @@ def test_verdicts_do_not_depend_on_units_and_sampling(tmp_path: Path) -> None:
     assert slower.mechanisms == as_they_are.mechanisms  # half of the samples say less of it, but nothing else
 
 
+@pytest.mark.long
 def test_held_out_is_what_the_rest_can_predict() -> None:
     """Of a drift that begins with the session, what is without its first recording says nothing of how it began."""
     session = compact_session(
@@ -364,6 +373,7 @@ def _halve_command(r: RecordingFeatures) -> RecordingFeatures:
     return replace(r, blocks=tuple(blocks))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("seed", "effect", "proposed"),
     [
@@ -402,6 +412,7 @@ def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
     assert found.split
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("seed", "effect", "rivals", "proposed"),
     [

@@ -54,6 +54,7 @@ ONE_RECORDING = [
 """A gain of one recording alone, by a factor that is no usual slip, is no fault: a film that softens does that, too."""
 
 
+@pytest.mark.long_after(12)
 @pytest.mark.parametrize("name", ONE_RECORDING)
 def test_a_fault_of_one_recording_is_named_with_it(name: str) -> None:
     edit = EDITS[name]
@@ -88,6 +89,7 @@ def test_a_gain_that_changed_midway_reads_the_rest_otherwise_too() -> None:
     assert [float(c.value_proposed) for c in fault.corrections] == pytest.approx([1.25] * 4, rel=2e-3)
 
 
+@pytest.mark.long
 def test_a_small_change_is_told_where_film_and_actuation_are_each_of_one_side() -> None:
     """The sweeps that most agree on came after it, the multisines before."""
     name = "force read 0.92 times from the fifth recording on"
@@ -96,6 +98,7 @@ def test_a_small_change_is_told_where_film_and_actuation_are_each_of_one_side() 
     assert all(EDITS[name].is_put_right(c) for c in fault.corrections)
 
 
+@pytest.mark.long
 def test_a_film_clamped_anew_to_the_same_tension_is_another_from_there_on() -> None:
     name = "film clamped anew from the seventh recording on"
     (fault,) = check(name).faults
@@ -104,6 +107,7 @@ def test_a_film_clamped_anew_to_the_same_tension_is_another_from_there_on() -> N
     assert "0.800 times" in fault.finding
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("name", ["strain_pp of all doubled", "thickness doubled", "width halved", "length doubled"])
 def test_wrong_sizes_and_strains_are_named_and_said_not_to_be_told_apart(name: str) -> None:
     edit = EDITS[name]
@@ -113,6 +117,7 @@ def test_wrong_sizes_and_strains_are_named_and_said_not_to_be_told_apart(name: s
     assert len({c.key for c in fault.corrections}) > 1
 
 
+@pytest.mark.long
 def test_sizes_wrong_by_no_usual_slip_are_one_of_several_explanations() -> None:
     """A thickness read five times too large, or a gain, or a permittivity that falls with the field: at one voltage these are one."""
     session = [change_metadata(r, film_thickness_mm=5.0) for r in recordings()]
@@ -152,6 +157,7 @@ SHARED = [
 ]
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHARED)
 def test_what_many_recordings_share_is_named_with_all_of_them(name: str) -> None:
@@ -163,6 +169,7 @@ def test_what_many_recordings_share_is_named_with_all_of_them(name: str) -> None
     assert all(edit.is_put_right(c) for c in best)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("id", "factor", "seed"), [("cyclic_softening", 3.0, 771_000_104), ("sensor_delay", 2.5, 771_000_114)]
@@ -173,6 +180,7 @@ def test_where_others_show_a_mechanism_it_is_no_fault_of_one_recording(id: str, 
     assert not check_recordings([reduce(r) for r in session.recordings]).faults
 
 
+@pytest.mark.long
 def test_a_delay_that_all_mechanical_tests_have_is_the_sensors() -> None:
     """No recording has that fault: a displacement sensor that lags, or a filter of its channel, is a mechanism."""
     assert not check("force of all mechanical tests 1.6 ms late").faults
@@ -188,6 +196,7 @@ def test_a_clock_that_all_tests_share_is_seen_in_sinusoids_and_periods_alike() -
     assert checked.plain.chi2 < 1.2 * checked.session.size, "they agree once they are put right"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("channel", ["force", "displacement"])
 def test_a_sign_that_is_the_opposite_one_in_all_tests_is_told_by_the_tension(channel: str) -> None:
     (fault,) = check(f"{channel} of all with its sign flipped").faults
@@ -195,6 +204,7 @@ def test_a_sign_that_is_the_opposite_one_in_all_tests_is_told_by_the_tension(cha
     assert {(c.key, c.value_proposed) for c in fault.corrections} == {(f"columns.{channel}.scale", "-1")}
 
 
+@pytest.mark.long
 def test_an_amplifier_that_lags_its_command_hides_no_fault() -> None:
     """What it makes of its command is no matter of film and rig: all recordings seemed to disagree."""
     name = "force of one sweep 2 ms late"
@@ -224,6 +234,7 @@ def test_a_recording_of_which_only_the_amplifier_is_left_ends_no_diagnosis() -> 
     assert not check_recordings(features).faults
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("seed", [SEED, ANOTHER_SEED])
 def test_a_sound_session_has_no_fault(seed: int) -> None:
     checked = check_recordings(sound(seed))
@@ -235,12 +246,14 @@ FACTOR = 3.0
 """Of the typical severity."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("id", ["amplitude_softening", "wrinkling", "slack", "cyclic_softening", "sensor_saturation"])
 def test_a_mechanism_is_no_fault_of_the_recording_where_it_shows_most(id: str) -> None:
     session = compact_session(SEED, [(id, FACTOR * KINDS[id].typical)])
     assert not check_recordings([reduce(r) for r in session.recordings]).faults
 
 
+@pytest.mark.long
 def test_the_diagnosis_says_the_fault_first_and_the_rest_is_sound() -> None:
     found = diagnose(edited("force of one sweep in mN"))
     assert (found.verdict, found.mechanisms) == ("named", ("unit_slip",))
@@ -251,6 +264,7 @@ def test_the_diagnosis_says_the_fault_first_and_the_rest_is_sound() -> None:
     assert len(found.residuals) == len(sound()) - 1
 
 
+@pytest.mark.long
 def test_faults_and_what_is_beside_them_are_consistent() -> None:
     found = diagnose(edited("strain_pp of all doubled"))
     assert (found.verdict, found.mechanisms, found.also_possible) == ("ambiguous", ("strain_wrong",), ("size_wrong",))
@@ -266,6 +280,7 @@ def _tap(name: str | None) -> RecordingFeatures:
     return reduce((session.recordings if name is None else EDITS[name](session.recordings))[0])
 
 
+@pytest.mark.long
 def test_a_tap_tells_of_a_wrong_file_where_the_responses_are_too_few() -> None:
     """A clamp filed ten times too heavy makes of sound recordings some that seem to have faults of their own."""
     name = "clamp mass ten times"
@@ -316,6 +331,7 @@ def test_a_change_has_to_show_in_more_than_one_kind_of_test(tests: str, first: i
     assert shows_in_more_than_one_test(session, np.arange(len(recordings)) >= first) is is_seen
 
 
+@pytest.mark.long
 def test_channels_swapped_in_all_mechanical_tests_rest_at_the_tension_of_the_others() -> None:
     edit = EDITS["channels of one sweep swapped"].edit
     session = [edit(r) if r.metadata.loading == "mechanical" else r for r in recordings()]

@@ -102,6 +102,7 @@ CASES = [
 ]
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize(
     ("id", "variant", "severity", "shape", "designs", "start", "least"), CASES, ids=[f"{c[0]} {c[2]}" for c in CASES]
 )
@@ -188,6 +189,7 @@ def test_softening_with_the_logarithm_of_the_cycles_ends_at_its_loss() -> None:
     assert 0.8 < left(whole / 10, "cyclic") < 0.95
 
 
+@pytest.mark.long
 def test_nothing_that_depends_on_the_strain_is_detectable_where_nothing_moves_the_film() -> None:
     """No strain is large there: compared with none, that of an actuation was without bound, and so was what it would show."""
     truth = true_session(SESSION, STEPS[:1] + MULTISINES[:1], ())
@@ -209,6 +211,7 @@ def test_places_are_tested_under_the_noise_that_the_session_has() -> None:
     assert min(d.p_value for d in loud) >= min(d.p_value for d in quiet)
 
 
+@pytest.mark.long
 def test_a_channel_whose_noise_no_rest_shows_is_left_out_in_words() -> None:
     """Without a stretch at rest, the noise of voltage and command was taken for none, and the search ended with an error."""
     truth = true_session(SESSION, CYCLES[:1] + MULTISINES, ())

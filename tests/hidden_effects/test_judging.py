@@ -14,6 +14,7 @@ SESSION = 103
 CASE = Case(SESSION)
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("id", ["cyclic_softening", "wrinkling", "leakage"])
 def test_what_is_called_detectable_is(id: str) -> None:
     """Within a factor of two: the forms differ, and the hardest fifth of the shapes is not promised."""
@@ -25,6 +26,7 @@ def test_what_is_called_detectable_is(id: str) -> None:
     assert 0.5 < said[kind.key if kind.key in said else next(iter(said))] / true < 2.0
 
 
+@pytest.mark.long
 def test_a_gain_that_the_film_absorbs_needs_to_be_large() -> None:
     """Of the displacement that is measured all simulations are told: what the film's stiffness takes up leaves no trace."""
     true = smallest_of(CASE, Effect("gain_error", 0.05, {"channel": "displacement"}))

@@ -132,6 +132,7 @@ def test_a_cause_that_is_sure_is_told_where_what_has_no_name_beside_it_is_likeli
     assert judge_session(doubtful) == "unknown"
 
 
+@pytest.mark.long
 def test_causes_that_a_function_may_be_the_form_of_are_tried_where_none_was(plain: Extended, theta: Float) -> None:
     """One that is in another stage, or less probable than what is listed, asks for nothing."""
     fit = plain.refine(plain.fit(theta, most=0))

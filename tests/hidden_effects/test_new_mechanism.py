@@ -100,6 +100,7 @@ def follow_recipe(house: Path) -> None:
         (house / file).write_text(text.replace(line, becomes.format(block=block)), encoding="utf-8")
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_mechanism_added_by_the_recipe_is_found_where_it_is_hidden(tmp_path: Path) -> None:
     follow_recipe(tmp_path)

@@ -33,11 +33,13 @@ def diagnose_relaxations(seed: int, *effects: Effect, with_rest: bool) -> Diagno
     return diagnose([reduce(r if with_rest else cut_rest(r)) for r in recordings])
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("with_rest", [True, False])
 def test_nothing_is_found_where_nothing_is_hidden(with_rest: bool) -> None:
     assert diagnose_relaxations(7, with_rest=with_rest).verdict == "none"
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "with_rest"), [(7, True), (7, False), (8, False)])
 def test_a_film_that_stiffens_with_strain_is_named(seed: int, with_rest: bool) -> None:

@@ -86,10 +86,12 @@ def test_a_sweep_without_any_rest_tells_its_noise_beyond_its_harmonics() -> None
             assert found == pytest.approx(expected, rel=0.5), quantity
 
 
+@pytest.mark.long
 def test_nothing_is_found_in_a_clean_session_without_rest() -> None:
     assert diagnose_without_rest().verdict == "none"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("cause", "severity"),
     [

@@ -51,6 +51,7 @@ def round_unsaid(recording: Recording) -> Recording:
     return round_force(recording, stated=False)
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("alter", [still, round_force, round_unsaid])
 def test_nothing_is_found_where_nothing_is_hidden(alter: Callable[[Recording], Recording]) -> None:
     recordings = make_session(7, SESSION).recordings
@@ -58,6 +59,7 @@ def test_nothing_is_found_where_nothing_is_hidden(alter: Callable[[Recording], R
     assert (found.verdict, found.faults) == ("none", ())
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("alter", [still, pytest.param(round_force, marks=pytest.mark.long)])
 def test_an_effect_is_found_all_the_same(alter: Callable[[Recording], Recording]) -> None:

@@ -212,6 +212,7 @@ def test_every_mechanism_of_the_contract_can_be_hidden_and_five_more() -> None:
     assert not set(UNLISTED) & set(CONTRACT)
 
 
+@pytest.mark.long_after(18)
 @pytest.mark.parametrize("id", KINDS)
 def test_effect_shows_where_it_should_and_leaves_the_rest_alone(id: str) -> None:
     kind = KINDS[id]
@@ -228,6 +229,7 @@ def test_electrical_effects_do_not_touch_mechanical_tests_at_all(id: str) -> Non
     assert all(distance(id, test) == 0 for test in ("chirp", "cyclic", "relaxation"))
 
 
+@pytest.mark.long_after(12)
 @pytest.mark.parametrize("id", [id for id in KINDS if id != "edge_tear"])
 def test_effect_vanishes_with_its_severity(id: str) -> None:
     tests = [test for test in SHORT if distance(id, test) > 10]

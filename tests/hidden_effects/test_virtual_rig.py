@@ -67,6 +67,7 @@ CYCLES = [
 ]
 
 
+@pytest.mark.long
 def test_slow_and_fast_cycles_of_a_plain_film_hold_nothing() -> None:
     assert diagnose(features(*CYCLES, "ST-2-relaxation", plain="ST-2")).verdict == "none"
 

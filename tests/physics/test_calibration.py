@@ -47,6 +47,7 @@ def tapped(force: np.ndarray, seed: int = 0, sd: float = 1e-3, **more):
     return recording({"force": 0.2 + noisy}, RATE, protocol="tap", loading="calibration", **more)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_frequency_and_damping_with_their_errors(ringing) -> None:
     scores = []

@@ -37,6 +37,7 @@ def noisy(values: np.ndarray, sd: float, seed: int) -> np.ndarray:
     return values + np.random.default_rng(seed).normal(0.0, sd, values.size)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_matches_the_integrated_equations_of_motion(integrated) -> None:
     truth, x, force = integrated
@@ -61,6 +62,7 @@ def test_matches_the_integrated_equations_of_motion(integrated) -> None:
     assert 0.9 < np.mean(ratios) < 1.3
 
 
+@pytest.mark.long_after(4)
 @pytest.mark.parametrize(("begin", "end"), [(0.0, 20.0), (0.4, 20.0), (0.0, 20.5)])
 @pytest.mark.parametrize("what", ["stiffness", "measured"])
 def test_a_record_cut_out_of_a_sweep_keeps_an_honest_variance(what: str, begin: float, end: float) -> None:

@@ -47,6 +47,7 @@ def recording(*, bias_kv: float, swing_kv: float, noise_n: float, told: bool = T
     return Recording(RecordingMetadata.parse(keys), RigConstants(), channels)
 
 
+@pytest.mark.long_after(2)
 @pytest.mark.parametrize(
     ("bias", "swing", "told", "lowest", "highest"),
     [

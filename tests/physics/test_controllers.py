@@ -253,6 +253,7 @@ def test_the_shaped_loop_keeps_margins_and_limits_and_says_where_it_cannot() -> 
         shape_loop(plant.film, plant.possible, -1.0, 30.0, LOOP)  # asks for 17 kV
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_designs_and_what_their_limits_are_of() -> None:
     plant = identified()

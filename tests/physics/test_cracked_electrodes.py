@@ -60,6 +60,7 @@ def test_cracks_open_with_the_strain_of_the_film() -> None:
     assert np.count_nonzero(change) == 4 * seen
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_dying_electrodes_leave_the_film_as_it_is() -> None:
     """What cracks take of the capacitance has a phase; put down to the load cell, it moved the film by ten standard deviations."""

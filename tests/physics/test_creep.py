@@ -182,6 +182,7 @@ def test_noise_and_wander_are_told_apart() -> None:
     assert np.mean([one.sample_sd for one in found]) == pytest.approx(2e-4, rel=0.3)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("walk", "drift"), [(1e-6, 0.0), (3e-7, 5e-6), (1e-7, -2e-5)])
 def test_the_interval_of_the_recovered_share_holds_it(walk: float, drift: float) -> None:

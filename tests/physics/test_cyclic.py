@@ -34,6 +34,7 @@ def coloured(rng: np.random.Generator, n: int, sd: float, memory: float) -> np.n
     return sd * lfilter([np.sqrt(1 - memory**2)], [1, -memory], rng.normal(size=n))
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("frequency", "count", "rate"), [(5.0, 10, 1000.0), (0.01, 3, 50.0), (0.1, 10, 100.0), (0.5, 5, 200.0)]
@@ -66,6 +67,7 @@ def test_response_and_its_variance(frequency, count, rate, memory) -> None:
     assert response.repeats == count - 2
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_correlated_noise_widens_the_error_as_it_should() -> None:
     """Noise with a memory of 400 samples at 1 kHz, 200 draws: the variance is right, a white one would be 20 times off."""

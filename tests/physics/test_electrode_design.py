@@ -77,6 +77,7 @@ def test_a_dip_keeps_electrodes_away_and_the_bound_is_never_exceeded() -> None:
         assert one.voltage_ratio == pytest.approx(one.relative_force**-0.5)
 
 
+@pytest.mark.long
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=30, deadline=None)
 def test_no_random_electrodes_live_longer_than_the_bound(seed: int) -> None:

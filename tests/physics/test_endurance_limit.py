@@ -29,6 +29,7 @@ def draw(limit: float, rng: np.random.Generator, each: int = 10) -> tuple[np.nda
     return voltage, Lives(np.minimum(life, END_S), np.where(life <= END_S, life, np.inf))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_interval_holds_the_limit_and_the_test_its_level() -> None:
     rng = np.random.default_rng(3)

@@ -44,6 +44,7 @@ def softened() -> ExtendedFit:
     return of.refine(of.fit(of.make_entries(plain.theta, ({"drop": 0.02},)), most=3))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_what_a_recording_says_of_a_cause_makes_it_dearer(softened: ExtendedFit) -> None:
     """The same recordings once more: less is left of the volume that its parameters have, never more."""

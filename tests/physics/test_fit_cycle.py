@@ -213,6 +213,7 @@ def test_a_film_of_known_size_has_its_own_stiffness() -> None:
     assert "section over length is 0.08 mm" in film["warnings"]
 
 
+@pytest.mark.long_after(2)
 @pytest.mark.parametrize(
     "sizes",
     [

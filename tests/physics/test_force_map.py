@@ -124,6 +124,7 @@ def test_readings_of_a_record() -> None:
     assert (found.stretch_1, found.stretch_2, found.stated_permittivity) == (1.2, 3.0, 4.7)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_relaxation_of_the_film_is_no_force() -> None:
     found = measure_force_map(recording(drift=0.004))  # 12 mN in each on-phase
@@ -351,6 +352,7 @@ def test_tables() -> None:
     assert force_map_tables((), (), ())["force_maps"].num_rows == 0
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_drift_of_the_pre_stretch_is_no_force_and_intervals_cover() -> None:
     """One time of voltage in a film that relaxes by up to a tenth of the force meanwhile, some of which comes slowly."""
@@ -374,6 +376,7 @@ def test_drift_of_the_pre_stretch_is_no_force_and_intervals_cover() -> None:
     assert np.mean(covered) >= 0.9
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_intervals_of_the_force_hold_where_the_drift_is_no_logarithm() -> None:
     """The root of time and two exponentials, which a logarithm does not follow (`tests/studies/study_static_force.py`)."""
@@ -399,6 +402,7 @@ def test_wanders_that_no_record_needs_hardly_widen_the_interval() -> None:
     assert 1.0 < np.mean(wider) < 1.25
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_noise_that_remembers_makes_no_interval_too_narrow() -> None:
     """Neighbouring samples go together over 0.2 s, as long as a window: their means are not independent."""

@@ -117,6 +117,7 @@ def test_free_strain_and_coefficient_are_those_of_the_film_under_load() -> None:
     assert found.strain_per_field_squared.value == pytest.approx(stroke / 24.0 / field**2, rel=0.01)
 
 
+@pytest.mark.long
 def test_intervals_hold_the_strokes_while_the_sensor_wanders() -> None:
     held: list[bool] = []
     for seed in range(12):
@@ -261,6 +262,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
     return Lab(folder / "lab")
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_night_measures_strokes_on_the_virtual_rig(lab: Lab) -> None:
     (row,) = lab.sql("SELECT * FROM isotonic_tests").to_dict("records")

@@ -326,6 +326,7 @@ def test_effects_over_contrasts_and_hazards_of_residuals() -> None:
         assert row["observed_hazard"] == pytest.approx(hazard)
 
 
+@pytest.mark.long
 def test_batches_are_a_covariate_and_too_many_are_left_out_with_the_reason() -> None:
     rows = [replace(row, batch=f"B{i % 2}") for i, row in enumerate(lives_of_a_campaign())]
     found = analyse_survival(rows).joined()["life_coefficients"].to_pylist()
@@ -357,6 +358,7 @@ def test_many_small_batches_are_a_random_effect() -> None:
     assert {row["coefficient"] for row in random} == {"intercept", "voltage_kv", "electrode: silver"}
 
 
+@pytest.mark.long
 def test_groups_of_few_failures_are_not_said_to_be_off_a_law_that_they_follow() -> None:
     rng = np.random.default_rng(4)
     group = np.repeat(np.arange(10), 3)
@@ -398,6 +400,7 @@ def test_rows_left_out_are_in_the_notes(rows: list[LifetimeRow], said: str) -> N
     ]
 
 
+@pytest.mark.long_after(4)
 @pytest.mark.parametrize(
     ("rows", "said"),
     [

@@ -60,6 +60,7 @@ def _log_likelihood(distribution: str, lower: np.ndarray, upper: np.ndarray, x: 
     return float(total + np.log(frozen.cdf(upper[between]) - frozen.cdf(lower[between])).sum())
 
 
+@pytest.mark.long_after(7)
 @pytest.mark.parametrize("distribution", [WEIBULL, LOG_NORMAL])
 @pytest.mark.parametrize("seed", range(6))
 def test_mixed_censoring_against_a_general_optimiser(distribution: str, seed: int) -> None:
@@ -98,6 +99,7 @@ def test_profile_limits_are_where_the_likelihood_drops() -> None:
         assert fit.log_likelihood + profile.fun == pytest.approx(drop, abs=1e-6)
 
 
+@pytest.mark.long_after(7)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("distribution", [WEIBULL, LOG_NORMAL])
 def test_limits_by_newton_are_those_of_the_walk_along_the_profile(

@@ -35,6 +35,7 @@ ARM_OF_OTHERS = 971_896_718
 """Seed of three recordings whose steps of voltage show an arm that their sinusoid does not."""
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "mass_error"), [(FAR_CLAMP, -0.39), (FAR_CLAMP_TOO, 0.4)])
 def test_the_search_ends_at_the_film_with_a_clamp_far_from_its_file(seed: int, mass_error: float) -> None:
@@ -48,6 +49,7 @@ def test_the_search_ends_at_the_film_with_a_clamp_far_from_its_file(seed: int, m
     assert error.max() < 0.02
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_third_arm_is_found_where_two_leave_nearly_everything() -> None:
     """A search of three arms that stops short looks as if two would do, and the third like a hidden cause."""

@@ -55,6 +55,7 @@ def _switch(shape: Float, noise_kv: float = 0.001) -> Recording:
     return _record("step", "electrical", STEP_S, {"voltage": measured, "force": force, "force_1": force}, stretch_1=2.0)
 
 
+@pytest.mark.long_after(2)
 @pytest.mark.parametrize("shape", UNSTEADY.values(), ids=UNSTEADY)
 def test_a_voltage_that_is_not_constant_while_it_is_on_is_named(shape: Float) -> None:
     """At a step and at a static force: what it comes to is no answer to one voltage."""

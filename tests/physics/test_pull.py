@@ -186,6 +186,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
     return Lab(folder / "lab")
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_night_measures_a_pull_on_the_virtual_rig(lab: Lab) -> None:
     (row,) = lab.sql("SELECT * FROM pull_tests").to_dict("records")

@@ -53,6 +53,7 @@ def effect(id: str, variant: str) -> Effect:
     return make_effect(id, values, variant)
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.slow
 @pytest.mark.parametrize(("id", "variant"), FORMS)
 def test_several_at_once_are_as_one_by_one(id: str, variant: str) -> None:
@@ -66,6 +67,7 @@ def test_several_at_once_are_as_one_by_one(id: str, variant: str) -> None:
     assert np.abs(of.session.whiten((at_once - one_by_one).T)).max() < 1e-8
 
 
+@pytest.mark.long_after(23)
 @pytest.mark.slow
 @pytest.mark.parametrize(("id", "variant"), [("", ""), *FORMS])
 def test_few_nodes_do_about_the_film_that_they_are_for(id: str, variant: str) -> None:

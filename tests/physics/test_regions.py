@@ -61,6 +61,7 @@ def compare_with_plain(fit: ExtendedFit) -> Posterior:
     )
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SESSIONS)
 def test_no_region_is_likely_where_nothing_is_hidden(seed: int) -> None:
@@ -70,6 +71,7 @@ def test_no_region_is_likely_where_nothing_is_hidden(seed: int) -> None:
     assert len(found.regions) >= 12
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "stages", "depends_on", "further"),
@@ -109,6 +111,7 @@ def pick_up_voltage(recording: Recording, per_kv: float, per_kv_a_second: float)
     return replace(recording, channels={**recording.channels, "force": changed})
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("per_kv", "per_kv_a_second"), [(2e-4, 0.0), (0.0, 2e-6)])
 def test_a_voltage_that_reaches_the_reading_past_the_film_is_told_as_that(
@@ -138,6 +141,7 @@ def test_a_force_that_follows_the_speed_is_told_as_that() -> None:
     assert found.probability["rig/rate"] > 0.9
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_narrow_resonance_of_no_list_is_something_else_and_not_noise() -> None:
     """A response that is free at many frequencies costs more than to leave the few groups that show it to anything."""
@@ -146,6 +150,7 @@ def test_a_narrow_resonance_of_no_list_is_something_else_and_not_noise() -> None
     assert found.probability[ANYTHING] > 0.3
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_region_tells_its_function_with_a_band() -> None:
     found = compare_with_plain(plain_model(303, Effect("frame_attraction", 0.2)))
@@ -175,6 +180,7 @@ def test_every_region_has_a_name_of_its_own_and_as_many_widths_as_shapes() -> No
         assert r.shapes.shape[0] == r.at.size
 
 
+@pytest.mark.long
 def test_a_gain_that_changes_from_test_to_test_is_seen_beside_what_rubs() -> None:
     fit = plain_model(SESSIONS[0])
     regions = {r.id: r for r in list_regions(fit.of.session)}
@@ -188,6 +194,7 @@ def test_a_gain_that_changes_from_test_to_test_is_seen_beside_what_rubs() -> Non
     assert not np.array_equal(alone, both)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_cause_may_be_another_function_of_what_it_depends_on_and_of_nothing_else() -> None:
     """An attraction to the frame acts as a voltage that is another function of the recorded one, which an offset can be and a gain cannot."""
@@ -206,6 +213,7 @@ def test_a_cause_may_be_another_function_of_what_it_depends_on_and_of_nothing_el
     assert abs(gain) < 0.1  # nothing is left that it could take up
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_form_that_is_right_loses_next_to_nothing_by_the_doubt_about_it() -> None:
     plain = plain_model(303, Effect("drive_offset", 0.3))

@@ -36,6 +36,7 @@ def run(ramp: float, *, seed: int = 0, until: float = 120.0, back: float | None 
     return time, recording({"displacement": 3 + x, "force": 0.7 + force}, RATE, protocol="step")
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("ramp", [0.0005, 0.05, 0.4])
 def test_window_means_and_their_variance(ramp: float) -> None:

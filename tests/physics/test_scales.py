@@ -244,6 +244,7 @@ CASES: dict[str, tuple[Callable[[], Recording], tuple[str, ...], Measure]] = {
 LONG = ("cycle of stress", "cause of a cycle", "static force")
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("case", [pytest.param(c, marks=[pytest.mark.slow] if c in LONG else []) for c in CASES])
 def test_fits_do_not_know_the_unit_of_a_channel(case: str) -> None:
     make, quantities, measure = CASES[case]

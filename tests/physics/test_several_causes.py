@@ -27,6 +27,7 @@ def combine(seed: int, *effects: Effect) -> Posterior:
     return Posterior.of([weigh_fit(noise_fit), *hypotheses, *add_causes(hypotheses, changes)])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_one_effect_is_one_cause() -> None:
     found = combine(331, Effect("field_dependent_permittivity", 0.05))

@@ -63,6 +63,7 @@ def driven_by_sine(system_input: str, model: RelaxationModel, seconds: float, hz
     return time, kl * solved.y[-2]
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("model", [THIRD, DASHPOT], ids=["three arms", "pure dashpot"])
 @pytest.mark.parametrize("system_input", ["displacement", "force"])

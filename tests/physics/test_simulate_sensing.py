@@ -29,6 +29,7 @@ def made(recording_id: str) -> Recording:
     return simulate_one(THESIS, planned).recording
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_one_region_for_both_rises_with_the_voltage_and_drifts_when_held() -> None:
     steps = measure_steps(made("SC-1-levels")).steps
@@ -67,6 +68,7 @@ def test_coats_approach_the_covered_region() -> None:
     assert last == pytest.approx(28.6, rel=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_rods_add_to_the_force_and_a_divided_electrode_takes_from_it() -> None:
     def force(name: str) -> float:

@@ -75,6 +75,7 @@ def record(voltage: Float) -> Recording:
     return Recording(metadata=RecordingMetadata.parse(about), rig=RigConstants(), channels=channels)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("power", [2.0, 1.5])
 def test_a_night_gives_the_drop_over_the_squared_voltage_that_was_put_in(
     tmp_path: Path, power: float, capsys: pytest.CaptureFixture[str]
@@ -143,6 +144,7 @@ def test_a_voltage_of_both_signs_tells_both_and_a_monitor_off_zero_is_corrected(
     assert np.isnan(measure_slow_voltage(record(triangles(TIME))).negative)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_stroke_of_a_load_under_a_slow_voltage_is_measured_on_both_branches(tmp_path: Path) -> None:
     """0.031 mm/kV² at once and 0.005 with 2 s: less on the way up than on the way down."""

@@ -80,6 +80,7 @@ def test_a_film_that_hardly_stiffens_has_no_bandwidth_and_one_without_model_only
     assert (force.meets, force.multiple) == (True, 2)
 
 
+@pytest.mark.long
 def test_line_with_a_mass_is_that_of_a_film_integrated_in_time() -> None:
     """Free stroke at 10 Hz of a relaxing film that carries 5 g, as its equations of motion give it."""
     mass, omega = 5.0, 2 * np.pi * 10

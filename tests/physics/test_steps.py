@@ -293,6 +293,7 @@ def loaded(kind: str, amount: float, count: int) -> Recording:
     return replace(recording, channels={**recording.channels, "force": force})
 
 
+@pytest.mark.long_after(7)
 @pytest.mark.parametrize("count", [2, 10])
 @pytest.mark.parametrize("amount", [0.05, 0.2])
 @pytest.mark.parametrize("kind", ["stairs while on", "stairs while off", "stairs at the edge", "triangle"])
@@ -344,6 +345,7 @@ AT_THE_END = 0.044 * (1 - 0.1 * np.exp(-9.75 / 2))
 """What has come of a step in the last half of its 10 s, of which 10 % come with 2 s."""
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("count", [1, 3])
 @pytest.mark.parametrize("course", COURSES.values(), ids=COURSES.keys())
 def test_few_steps_in_a_force_that_drifts_are_fitted_with_it(course: Any, count: int) -> None:
@@ -359,6 +361,7 @@ def test_few_steps_in_a_force_that_drifts_are_fitted_with_it(course: Any, count:
     assert np.sqrt(np.mean(np.square(scores))) < 2.0
 
 
+@pytest.mark.long_after(2)
 @pytest.mark.parametrize("course", [lambda t: 0 * t, *COURSES.values()], ids=["none", *COURSES.keys()])
 def test_one_release_of_a_step_that_begins_with_the_record_is_measured(course: Any) -> None:
     """It gave nothing, with no reason: the level that the film comes back to stands after the step."""

@@ -35,6 +35,7 @@ def put_rest_first(data: tuple[Float, Float, Float], stress: Float) -> tuple[Flo
     )
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("branches", "verdict"), [(((30.0, 4.0),), "none"), (((30.0, 4.0), (60.0, 0.3)), "named")], ids=["none", "named"]

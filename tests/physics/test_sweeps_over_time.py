@@ -130,6 +130,7 @@ def test_a_sweep_over_time_is_whole_where_it_begins() -> None:
         assert np.abs(apart).max() < 0.02 * np.abs(moved).max()
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("overload", [0.05, 0.1, 0.3])
 def test_slack_begins_as_in_time(overload: float) -> None:
@@ -188,6 +189,7 @@ def test_parts_of_a_session_are_simulated_as_within_the_whole(mixed: tuple[TrueS
         )
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_an_arm_that_the_model_could_still_have_is_nothing_to_find() -> None:
     """Below the highest order a relaxation has to be told from one arm more."""
@@ -212,6 +214,7 @@ def test_an_arm_that_the_model_could_still_have_is_nothing_to_find() -> None:
 MANY_SWEEPS = {"protocol": "chirp", "strain_pp": 0.03, "repeats": 7}
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_of_many_sweeps_each_is_read_with_those_just_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Read with all the others, seven cost five times as much as need be and twenty fifteen times: the square of their number."""

@@ -95,6 +95,7 @@ def _compare(q: SystemQuestion) -> Comparison:
     return compare_predictions(q.plain, q.models, q.measured, q.left_out, q.sd)
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("truth", [name for name in TRUTHS if name != "none"])
 def test_the_cause_is_named(truth: str) -> None:
@@ -165,6 +166,7 @@ def test_places_of_the_discrepancy_grow_with_the_output() -> None:
     assert not list_system_discrepancies(_question("none")[0])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_steady_period_and_a_louder_record() -> None:
     """A period is predicted from a louder record and the reverse, and the names say which."""

@@ -30,6 +30,7 @@ def record(poles: str, hold: str, shaped: bool) -> SystemRecord:
     return SystemRecord("r", u, y + NOISE * y.std() * rng.normal(size=u.size), INTERVAL_S)
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("poles", ["resonance", "two poles"])
 @pytest.mark.parametrize("shaped", [False, True])

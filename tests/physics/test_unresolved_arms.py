@@ -65,6 +65,7 @@ def test_a_fast_arm_is_found_where_samples_thin_out_during_the_hold(ramp: float,
     assert fits.selected.model.tau[2] == pytest.approx(fast[1], rel=0.1)
 
 
+@pytest.mark.long_after(2)
 @pytest.mark.parametrize(
     ("ramp", "interval", "fast"),
     [(0.3, 0.02, (0.3, 0.03)), (3.0, 0.5, (0.3, 0.3)), (10.0, 0.5, (0.3, 1.0))],

@@ -92,6 +92,7 @@ def test_matlab_mistakes_are_named(tmp_path: Path) -> None:
         assert problem in refused.value.problem
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_damaged_matlab_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.mat"

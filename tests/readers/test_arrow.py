@@ -114,6 +114,7 @@ def test_every_kind_of_column_is_read_for_what_it_is(write: Callable[[pa.Table],
         file.numbers("half", 1)
 
 
+@pytest.mark.long_after(1)
 def test_the_kit_passes(write: Callable[[pa.Table], Path]) -> None:
     path = write(pa.table(COLUMNS))
     check_reader(READER, path, {name: list(values) for name, values in COLUMNS.items()})

@@ -520,6 +520,7 @@ def test_hdf5_times_since_a_date(tmp_path: Path) -> None:
             read(path, mapping(".h5", columns, {"column": "t", "unit": "s"}))
 
 
+@pytest.mark.long_after(5)
 @pytest.mark.parametrize(
     "units",
     [
@@ -543,6 +544,7 @@ def test_times_since_a_date_as_programs_write_them(tmp_path: Path, units: str, c
     assert raw.channels[0].time_ns[0] == START_NS + 250_000_000
 
 
+@pytest.mark.long_after(4)
 @pytest.mark.parametrize(
     ("units", "calendar", "why"),
     [
@@ -586,6 +588,7 @@ def write_hdf5(path: Path, *, chunked: bool) -> np.ndarray:
 _T = {"column": "t", "unit": "s"}
 
 
+@pytest.mark.long_after(2)
 @pytest.mark.parametrize("chunked", [False, True])
 @pytest.mark.parametrize("left", [0.97, 0.8])
 def test_hdf5_that_is_cut_gives_what_is_there(tmp_path: Path, left: float, chunked: bool) -> None:

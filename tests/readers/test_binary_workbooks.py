@@ -86,6 +86,7 @@ FAR: dict[str, tuple[str, bytes]] = {
 }  # fmt: skip
 
 
+@pytest.mark.long_after(5)
 @pytest.mark.parametrize("kind", FAR)
 def test_cells_far_out_are_refused_before_what_is_between_them_is_made(kind: str, tmp_path: Path) -> None:
     suffix, content = FAR[kind]
@@ -116,6 +117,7 @@ def test_blank_rows_and_columns_that_only_have_a_format_are_no_data(tmp_path: Pa
     assert len(sheet_rows(path, "run")) == ROWS
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_cut_anywhere_it_is_refused_with_a_reason_and_nothing_is_made_up(
     suffix: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]

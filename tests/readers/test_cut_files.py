@@ -98,6 +98,7 @@ FORMATS: dict[str, tuple[str, Callable[[Path], Any], dict[str, Any]]] = {
 """Name → ending, writer, and how it is mapped."""
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_cut_file_gives_what_is_whole(name: str, tmp_path: Path) -> None:
     suffix, write, options = FORMATS[name]

@@ -88,6 +88,27 @@ def test_copies_and_hard_links_are_files_of_their_own(tmp_path: Path) -> None:
     assert len(discover([tmp_path]).files) == 2
 
 
+def test_another_lab_among_the_raw_files_is_passed_over_in_one_line(tmp_path: Path) -> None:
+    """The tables of its pages were files without a mapping, each with a line of its own."""
+    lab = tmp_path / "old-lab"
+    for name in (
+        "results.duckdb",
+        "samples/protocol=chirp/a.parquet",
+        "reports/data/a_survival.csv",
+        "reports/index.html",
+    ):
+        (lab / name).parent.mkdir(parents=True, exist_ok=True)
+        (lab / name).write_bytes(b"x")
+    (tmp_path / "a.csv").write_text("t,F\n0,1\n")
+    found = discover([tmp_path])
+    assert [file.path.name for file in found.files] == ["a.csv"]
+    assert found.notes == (f"{lab}: another lab: what dealab made is no raw data: passed over",)
+    (lab / "samples" / "protocol=chirp" / "a.parquet").unlink()
+    (lab / "samples" / "protocol=chirp").rmdir()
+    (lab / "samples").rmdir()
+    assert len(discover([tmp_path]).files) > 1, "a folder of results that is none"
+
+
 def test_the_lab_inside_the_raw_folder_is_skipped(tmp_path: Path) -> None:
     (tmp_path / "lab" / "quarantine" / "x").mkdir(parents=True)
     (tmp_path / "lab" / "quarantine" / "x" / "bad.mcap").write_bytes(b"x")

@@ -97,6 +97,7 @@ def test_damaged_workbook_is_refused(tmp_path: Path, cut: int) -> None:
         read(path, mapping())
 
 
+@pytest.mark.long
 def test_flipped_bytes_never_escape(tmp_path: Path) -> None:
     path = write_xlsx(tmp_path / "run.xlsx", {"A": ROWS})
     whole = path.read_bytes()

@@ -500,6 +500,7 @@ def test_all_keys_are_tried() -> None:
     assert set(FORMATS) <= set(ZOO)
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("name", ZOO)
 def test_a_key_of_time_changes_what_is_read_or_is_an_error(name: str, zoo: Mapping[str, tuple[Path, ...]]) -> None:
     """`zone` beside equal steps, `format` without a column and others were accepted and ignored."""
@@ -510,6 +511,7 @@ def test_a_key_of_time_changes_what_is_read_or_is_an_error(name: str, zoo: Mappi
         assert list(_find_ignored([content], zoo[name], cases)) == [], label
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("name", ZOO)
 def test_any_other_key_of_a_recording_changes_what_is_read_or_is_an_error(
     name: str, zoo: Mapping[str, tuple[Path, ...]]
@@ -698,6 +700,7 @@ def _table(kind: str, columns: Content, **more: Any) -> Content:
     return {"kind": kind, "csv": {"delimiter": ";", "unit_row": True}, "columns": columns, "recording": about, **more}
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("kind", _HEADS)
 def test_a_column_of_a_table_and_its_keys_change_what_is_read_or_are_errors(kind: str, tmp_path: Path) -> None:
     """`magnitude` without a phase was ignored beside storage and loss."""

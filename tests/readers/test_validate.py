@@ -59,6 +59,7 @@ def test_every_draft_keeps_to_the_schema(path: Path, tmp_path: Path) -> None:
     assert is_valid(json.loads(json.dumps(draft, default=str)), SCHEMAS["mapping"]())
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_every_recording_of_the_tests_keeps_to_the_schema(tmp_path: Path) -> None:
     """What files say of themselves, and what mappings say of them: as the checks of the pipeline get it."""

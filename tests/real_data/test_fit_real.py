@@ -75,6 +75,7 @@ def test_published_prony_tables_are_reproduced_and_hertz_are_not_radians(dmta: P
     assert found["Hz"][0] < {"freq_master": 0.9918, "freq_raw": 0.9971}[case]
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize(("case", "enough"), [("freq_master", 16), ("freq_raw", 27)])
 def test_fewer_arms_reach_what_is_published(dmta: Path, case: str, enough: int) -> None:
     """With the weights of the metric itself (constant noise): 16 arms for 27 terms, 27 for 34."""

@@ -20,6 +20,7 @@ def text_of(page: Path) -> str:
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page.read_text(encoding="utf-8")).replace("\u00a0", " "))
 
 
+@pytest.mark.long
 def test_lifetimes_of_the_film_reach_the_database(real_folder: Callable[[str], Path], tmp_path: Path) -> None:
     lab = tmp_path / "lab"
     assert main(["nightly", str(real_folder("hirose_pet_film")), "--lab", str(lab)]) == 0
@@ -37,6 +38,7 @@ def test_lifetimes_of_the_film_reach_the_database(real_folder: Callable[[str], P
     assert (lab / "reports" / "index.html").is_file()
 
 
+@pytest.mark.long
 def test_response_tables_reach_the_models(real_folder: Callable[[str], Path], tmp_path: Path) -> None:
     lab = tmp_path / "lab"
     folder = real_folder("pyvisco_dmta")
@@ -62,6 +64,7 @@ def test_response_tables_reach_the_models(real_folder: Callable[[str], Path], tm
     assert f"{enough[0]} arms are enough over this band" in page
 
 
+@pytest.mark.long
 def test_a_rheometer_that_gives_way(real_folder: Layout, tmp_path: Path) -> None:
     """20 temperatures × 17 frequencies: the transducer deforms up to 2.91 times as much as the specimen, G″ down to −29.9 MPa."""
     lab = tmp_path / "lab"
@@ -99,6 +102,7 @@ def test_a_rheometer_that_gives_way(real_folder: Layout, tmp_path: Path) -> None
     assert "not used" not in text_of(lab / "reports" / "specimens" / "rheometer-20C.html").replace("is not used", "")
 
 
+@pytest.mark.long
 def test_triangle_cycle_on_its_published_law(real_folder: Layout, tmp_path: Path) -> None:
     """VHB 4910: 9.655 kPa for one branch on the published equilibrium stress; what two and three bring, and a fitted law."""
     lab = tmp_path / "lab"
@@ -146,6 +150,7 @@ def test_triangle_cycle_on_its_published_law(real_folder: Layout, tmp_path: Path
     assert "Stress as the fit to the loading alone predicts it" in page
 
 
+@pytest.mark.long
 def test_one_period_of_the_silverbox(real_folder: Layout, tmp_path: Path) -> None:
     lab = tmp_path / "lab"
     folder = real_folder("silverbox")

@@ -38,6 +38,7 @@ def question(real_data: Path) -> SystemQuestion:
     )
 
 
+@pytest.mark.long
 def test_an_odd_stiffening_nonlinearity_predicts_what_a_linear_model_misses(question: SystemQuestion) -> None:
     found = compare_predictions(question.plain, question.models, question.measured, question.left_out, question.sd)
     best = found.ranked[0]

@@ -215,6 +215,7 @@ def test_lines_above_a_table() -> None:
     assert found == {"sample_rate_hz": 200.0, "film_width_mm": 25.4, "film_length_mm": 50.0}
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_drafts_of_our_own_files_of_strangers() -> None:
     """What is asked of drafts: protocols right of nine in ten files, no unit wrong, no column lost."""

@@ -47,6 +47,7 @@ def write_appended(path: Path, heads_again: bool = False) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("heads_again", [False, True])
 def test_times_that_begin_anew_make_two_recordings(tmp_path: Path, heads_again: bool) -> None:
     """They were refused: time runs backwards."""

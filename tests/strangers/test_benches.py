@@ -110,6 +110,7 @@ No;Voltage [kV];Specimen;Time to breakdown [s];Failure site;Comment
 """
 
 
+@pytest.mark.long
 def test_a_list_of_lives_with_rows_that_are_none_gives_the_right_numbers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

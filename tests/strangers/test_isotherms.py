@@ -135,6 +135,7 @@ def test_a_temperature_that_comes_back_is_a_recording_of_its_own(tmp_path: Path)
     assert count == 8 * 13 + 7 * 6
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_night_makes_one_master_curve_of_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "files"

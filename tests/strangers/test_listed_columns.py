@@ -34,6 +34,7 @@ def write_hold(path: Path) -> float:
     return float(force[-1] / 3.0)
 
 
+@pytest.mark.long
 def test_listed_columns_become_a_recording_on_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """They were guessed from their numbers: time, then what seemed to drive; marks of -999 were samples."""
     folder = tmp_path / "files"

@@ -61,6 +61,7 @@ def test_a_sinusoid_that_is_a_sweep_is_neither_answered_nor_diagnosed(tmp_path: 
     assert made.value("SELECT verdict FROM diagnoses") is None
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_large_cycle_of_unknown_length_is_not_diagnosed_as_a_cube(tmp_path: Path) -> None:
     """A neo-Hookean film of 50 mm, read as 1 mm and stretched to 51, was said to soften by 40.1 ± 1.5 %."""

@@ -74,6 +74,7 @@ def test_each_temperature_is_a_recording_of_its_own(tmp_path: Path) -> None:
     assert "3 recordings in one file: 0, 25, 40" in found.as_text()
 
 
+@pytest.mark.long
 def test_a_night_takes_every_part_once_and_follows_the_file(tmp_path: Path) -> None:
     folder = tmp_path / "files"
     folder.mkdir()

@@ -192,6 +192,7 @@ def test_what_stands_below_a_table_is_no_damage_and_the_way_comes_before_the_mac
     assert any("left out" in problem for problem in raw.problems)
 
 
+@pytest.mark.long
 def test_a_folder_is_added_with_what_is_new_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     deeper = tmp_path / "raw" / "day 1"
     deeper.mkdir(parents=True)

@@ -11,6 +11,7 @@ from tests.strangers.peers import SKIPPED, WRONG, files_below, in_child, known_f
 FILES = files_below(list(known_folders().values()))
 
 
+@pytest.mark.long_after(4)
 @pytest.mark.slow
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_files_of_peers_are_read_as_their_peers_read_them(path: Path) -> None:

@@ -40,6 +40,7 @@ def write_logger(path: Path) -> float:
     return broke - on
 
 
+@pytest.mark.long
 def test_names_and_units_above_numbered_columns(tmp_path: Path) -> None:
     """Columns M00, M01 were guessed from their numbers while the file said what they are two rows above."""
     folder = tmp_path / "files"

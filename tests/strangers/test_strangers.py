@@ -13,6 +13,7 @@ HERE = Path(__file__).resolve().parent
 CORPUS = Path(os.environ.get("DEALAB_STRANGERS", HERE.parents[2] / "shared" / "strangers"))
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("case", cases_in(HERE / "files"), ids=lambda case: case.name)
 def test_own_files_come_out_as_they_must(case: Path) -> None:
     verdict, what = judge(case)

@@ -36,6 +36,7 @@ def test_a_running_number_is_no_time_and_specimens_are_kept_apart(tmp_path: Path
     assert "No." in [c.column for c in draft.unmapped]
 
 
+@pytest.mark.long
 def test_specimens_of_one_file_become_recordings_on_pages(tmp_path: Path) -> None:
     """Two films pulled and held one after the other in a file of a Spanish machine; the relaxed stiffness by its formula."""
     times = np.arange(0.0, 60.0, 0.1)

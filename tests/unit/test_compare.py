@@ -92,6 +92,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return synthetic_lab.whole_story().write(tmp_path_factory.mktemp("compare") / "lab")
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_command_says_and_writes_what_differs(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

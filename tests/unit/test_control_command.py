@@ -59,6 +59,7 @@ def ask(lab: Path, *words: str) -> int:
     return main(["control", *words, "--lab", str(lab)])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_text_and_table_have_all_controllers(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert ask(lab, "C-1") == 0
@@ -74,6 +75,7 @@ def test_text_and_table_have_all_controllers(lab: Path, capsys: pytest.CaptureFi
     assert "amplifier 1.5 kV/V, lag 20 ms" in both.err
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_json_holds_the_courses(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert ask(lab, "C-1", "--format", "json") == 0

@@ -52,6 +52,7 @@ def digest_said(text: str) -> str:
     return text.split("SHA-256 of the results: ")[1].split()[0]
 
 
+@pytest.mark.long
 def test_a_lab_elsewhere_gives_the_same_crate(lab: Path, crate: Path, tmp_path: Path) -> None:
     elsewhere = tmp_path / "another place" / "lab"
     shutil.copytree(lab, elsewhere)
@@ -63,6 +64,7 @@ def test_a_lab_elsewhere_gives_the_same_crate(lab: Path, crate: Path, tmp_path: 
     assert again.read_bytes() == crate.read_bytes()
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_nights_in_two_folders_give_the_same_digest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said = []
@@ -110,6 +112,7 @@ def test_the_metadata_name_every_file_and_recording(crate: Path) -> None:
     assert any(name.startswith("figures/") for name in files)
 
 
+@pytest.mark.long
 def test_an_eln_has_all_in_one_folder(
     lab: Path, crate: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -125,6 +128,7 @@ def test_an_eln_has_all_in_one_folder(
     assert main(["verify", str(target)]) == 0
 
 
+@pytest.mark.long
 def test_every_change_is_said_in_a_line(
     lab: Path, crate: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

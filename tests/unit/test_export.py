@@ -111,6 +111,7 @@ terms_of = st.lists(st.tuples(positive, positive), min_size=1, max_size=30)
 laws = st.none() | st.builds(Wlf, st.floats(-100, 200), st.floats(1, 30), st.floats(20, 200))
 
 
+@pytest.mark.long_after(2)
 @pytest.mark.parametrize("program", READERS)
 @given(equilibrium=positive, terms=terms_of, law=laws)
 def test_a_deck_is_the_film_that_went_in(

@@ -77,6 +77,7 @@ def test_every_figure_of_a_page_is_listed() -> None:
     assert set(kinds) - {"multiple", "overlay"} == set(PRINTED)
 
 
+@pytest.mark.long
 def test_the_synthetic_lab_shows_many_kinds(exhibits: dict[str, Exhibit]) -> None:
     assert len(exhibits) >= 20
     assert {
@@ -99,6 +100,7 @@ def test_what_bounds_the_use_of_a_specimen_is_on_top_of_its_page(folder: Path) -
         assert "The film wrinkles from 6.70" in specimen_page.page(site, "P-07").lede
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("campaign", ["Endurance", "film-dynamics"])
 def test_a_long_campaign_is_split_and_loses_nothing(
     folder: Path, campaign: str, monkeypatch: pytest.MonkeyPatch
@@ -133,6 +135,7 @@ def test_a_long_campaign_is_split_and_loses_nothing(
     assert first.files.keys() == whole.files.keys()
 
 
+@pytest.mark.long
 def test_every_kind_is_drawn_in_both_widths(exhibits: dict[str, Exhibit], untouched: None) -> None:
     for place, exhibit in enumerate(exhibits.values()):
         for width, size in list(WIDTHS_MM.items())[place % 2 :]:  # every second one in both
@@ -173,6 +176,7 @@ def test_points_of_the_response_are_those_of_the_database(folder: Path, exhibits
         assert any(d.shape == wanted.shape and np.allclose(d[np.argsort(d[:, 0])], wanted, rtol=1e-6) for d in drawn)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_pdf_has_its_fonts_in_it_and_no_date(exhibits: dict[str, Exhibit], tmp_path: Path, untouched: None) -> None:
     for kind in ("response", "survival", "force-map"):
@@ -219,6 +223,7 @@ def test_no_point_is_cut_off_in_silence(values: list[float]) -> None:
     assert drawing.figure.axes[0] is panel.on
 
 
+@pytest.mark.long
 def test_the_command_lists_writes_and_adds_data(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -236,6 +241,7 @@ def test_the_command_lists_writes_and_adds_data(
     assert {"survival.pdf", "lifetimes.pdf"} <= {p.name for p in (tmp_path / "all").iterdir()}
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -114,6 +114,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("hint", [hint for hint in list_hints() if hint.startswith("dealab")])
 def test_a_command_that_is_told_does_something(
     hint: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -156,6 +157,7 @@ NASTY = (
 """Names that a shell or a command would take for something else."""
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("name", NASTY)
 def test_what_is_told_of_a_file_works_as_printed_whatever_its_name(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -42,6 +42,7 @@ def _kept(folder: Path, name: str, kinds: Sequence[str], **metadata: str) -> dic
     return tables
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("published", [(), ("a", "c"), ("a", "b", "c", "d")])
 def test_results_of_a_group_from_journal_and_snapshot(tmp_path: Path, published: Sequence[str]) -> None:
     lab = Lab(tmp_path)

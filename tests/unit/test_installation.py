@@ -71,6 +71,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
     return Installed(tmp_path_factory.mktemp("an environment"))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_without_its_libraries_it_says_which_are_missing(installed: Installed) -> None:
     status, said = installed.type("doctor")
@@ -83,6 +84,7 @@ def test_without_its_libraries_it_says_which_are_missing(installed: Installed) -
     assert installed.type("--version") == (0, "dealab 0.1.0\n")
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_packages_of_others_are_refused_until_the_remedy_is_followed(installed: Installed) -> None:
     told = {}

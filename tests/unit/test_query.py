@@ -94,6 +94,7 @@ def test_reading_is_answered(lab: Lab, here: Path, query: str) -> None:
     assert ask(lab, query).num_rows > 0
 
 
+@pytest.mark.long_after(45)
 @pytest.mark.parametrize(
     "query",
     [

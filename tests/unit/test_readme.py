@@ -224,6 +224,7 @@ def write_samples(lab: Path, recording: str) -> None:
     pq.write_table(pa.table({"time_ns": np.arange(9), "force": np.arange(9.0)}), lab / path)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_notebook_examples_run(there: Path) -> None:
     mpl.use("Agg")

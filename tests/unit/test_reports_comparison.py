@@ -46,6 +46,7 @@ def svg(image: str) -> str:
 numbers = st.complex_numbers(max_magnitude=100, allow_nan=False, allow_infinity=False)
 
 
+@pytest.mark.long
 @given(st.lists(st.tuples(numbers, numbers), min_size=2, max_size=8))
 @example([(0j, 0j), (5e-324 + 0j, 0j)])
 def test_residuals_are_those_of_both_components_in_sd(pairs: list[tuple[complex, complex]]) -> None:

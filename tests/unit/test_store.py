@@ -86,6 +86,7 @@ def test_deletion_matches_null(lab: Lab) -> None:
     assert select(lab, "SELECT recording_id FROM recordings") == [("a",)]
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize(
     ("rows", "says"),
     [
@@ -330,6 +331,7 @@ def test_long_texts_get_the_memory_that_they_ask_for(lab: Lab) -> None:
     assert list(lab.work.iterdir()) == []
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize(
     "told",
     [

@@ -59,6 +59,7 @@ def test_other_code_for_proposals_makes_ambiguous_verdicts_again_alone(tmp_path:
     assert set(Kept(path, Code("a", "new")).judgements(5)) == {ASKED}
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept = Kept(tmp_path / "log.jsonl", digest())

@@ -16,6 +16,7 @@ from schemas.tables import OWNERS, TABLES, find_references, reference
 from schemas.tables.table import MadeBy, Table, real, text, texts, truth, whole, with_bounds, with_uncertainty
 
 
+@pytest.mark.long_after(25)
 @pytest.mark.parametrize("name", list(TABLES))
 def test_ddl_makes_the_table_with_its_comments(name: str) -> None:
     table = TABLES[name]

@@ -50,6 +50,7 @@ def type_in_shell(line: str, lab: Lab, **environment: str) -> tuple[int, bytes, 
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize(
     ("line", "status"),
     [
@@ -74,6 +75,7 @@ _NIGHTS = ("md:x", "s3:x")
 """Names of labs that a night makes; the others are copies."""
 
 
+@pytest.mark.long_after(1)
 @pytest.mark.parametrize("name", ["md:x", ":memory:", "s3:x", "http:x", "a?b", "it's"])
 def test_a_lab_is_a_folder_whatever_its_name(
     name: str, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
