@@ -31,6 +31,8 @@ SUFFIXES = frozenset(
 """Units as they stand behind a name: `force_V`, `HV_kV`."""
 _WRITTEN = re.compile(r"^(?P<name>.+?)(?:\s+(?:in|-)\s+|[_ ])(?P<unit>[A-Za-zµ]{1,4})$")
 _IN_UNIT = re.compile(r"^(?P<name>.+?)\s+in\s+(?P<unit>\S{1,10})$")
+_SHOUTED_SECONDS, _CLOCK = ("S", "SEC", "Sec"), re.compile(r"(t|time|zeit|temps|elapsed|run ?time)\b|time$")
+"""Seconds behind the name of a clock in capitals: `Time_S`; behind another name they are siemens, or an index."""
 _SI_BASE = {"n": "N", "v": "V", "kv": "kV", "hz": "Hz", "mpa": "MPa", "kpa": "kPa", "pa": "Pa", "pf": "pF"}
 """Units that a program which writes all in small letters means."""
 _ALSO_WORDS = frozenset(("in", *(unit for unit in SUFFIXES if len(unit) == 1)))
@@ -76,6 +78,8 @@ def unit_behind(name: str) -> tuple[str, str]:
     if match is None:
         return name, ""
     written = match["unit"]
+    if written in _SHOUTED_SECONDS and _CLOCK.match(match["name"].lower()):
+        return match["name"], "s"
     known = _SI_BASE.get(written, written) if name == name.lower() else written
     return (match["name"], known) if known in SUFFIXES else (name, "")
 

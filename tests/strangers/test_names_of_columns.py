@@ -41,6 +41,13 @@ def test_a_unit_stands_behind_in(name: str, expected: tuple[str, str]) -> None:
     assert unit_behind(name) == expected
 
 
+@pytest.mark.parametrize(
+    ("name", "unit"), [("Time_S", "s"), ("TIME_SEC", "s"), ("Elapsed_S", "s"), ("G_S", ""), ("Force_S", "")]
+)
+def test_seconds_of_a_clock_may_stand_in_capitals(name: str, unit: str) -> None:
+    assert unit_behind(name)[1] == unit
+
+
 def test_a_single_letter_is_what_its_unit_says() -> None:
     """T is a time in s and a temperature in °C."""
     assert [c.meaning for c in guess_columns(("T in °C", "t in s"), (), 2)] == ["temperature", "time"]
