@@ -277,7 +277,7 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
     if kind != LIFETIMES:
         _take(opened.facts, about, remarks, ("specimen_id",))
         sizes = ("film_length_mm", "film_width_mm", "film_thickness_mm")
-        if all(size in opened.facts for size in sizes):
+        if all(size in opened.facts and not opened.facts[size].lacks_unit for size in sizes):
             _take(opened.facts, about, remarks, sizes)
         if "specimen_id" not in about:
             about["specimen_id"] = "{stem}"
@@ -395,6 +395,12 @@ def _recording(opened: Opened) -> Draft:
         remarks[f"recording.{key}"] = "measured from the trace"
     facts = ("specimen_id", "operator", "material", "film_length_mm", "film_width_mm", "film_thickness_mm")
     _take(opened.facts, about, remarks, facts if specimens is None else facts[1:])
+    if any(c.meaning == "displacement" and c.unit == "mm" for c in opened.columns):
+        questions += [
+            Question(f"recording.{fact.key}", f"size in mm (the file says {fact.words}, without a unit)", fact.value)
+            for fact in opened.facts.values()
+            if fact.lacks_unit
+        ]
     named = all("specimen_id" in part.get("recording", {}) for part in parts) if parts else "specimen_id" in about
     if not named:
         questions.append(Question("recording.specimen_id", "name of the specimen", find_stem(opened.path)))
@@ -599,6 +605,6 @@ def _is_even(values: Any) -> bool:
 
 def _take(facts: Mapping[str, Fact], about: dict[str, Any], remarks: dict[str, str], keys: Sequence[str]) -> None:
     for key in keys:
-        if key in facts:
+        if key in facts and not facts[key].lacks_unit:
             about[key] = name_fact(facts[key])
             remarks[f"recording.{key}"] = f"the file: {facts[key].words}"

@@ -181,7 +181,11 @@ def open_sheets(path: Path, said: Mapping[str, str]) -> list[Opened]:
     said_anywhere = by_key((*harvest_rows(paired), *of_tables))
     everywhere = tuple(word for one in found for word in one.words)
     joined = [
-        replace(_in_order(one, order), facts={**said_anywhere, **one.facts}, words=(*one.words, *everywhere))
+        replace(
+            _in_order(one, order),
+            facts=by_key((*one.facts.values(), *said_anywhere.values())),
+            words=(*one.words, *everywhere),
+        )
         for one in found
     ]
     return sorted(joined, key=lambda one: -len(one.rows))

@@ -125,9 +125,10 @@ def _list_own_facts(opened: Opened, runs: int) -> list[dict[str, Any]]:
     text = read_plain_content(opened.path).content.decode(str(opened.options.get("encoding", "utf-8")), "replace")
     delimiter, decimal = str(opened.options["delimiter"]), str(opened.options["decimal"])
     dialect = Dialect(delimiter=delimiter, decimal=decimal)
-    blocks = harvest_blocks(text.splitlines(), lambda line: count_numbers(line, dialect) > 0)
-    if len(blocks) != runs:
+    told = harvest_blocks(text.splitlines(), lambda line: count_numbers(line, dialect) > 0)
+    if len(told) != runs:
         return nothing
+    blocks = [{key: fact for key, fact in block.items() if not fact.lacks_unit} for block in told]
     keys = [key for key in OWN_FACTS if len({block[key].value if key in block else None for block in blocks}) > 1]
     return [{key: name_fact(block[key]) for key in keys if key in block} for block in blocks]
 

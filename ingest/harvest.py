@@ -69,15 +69,19 @@ OWN_FACTS = ("specimen_id", "film_length_mm", "film_width_mm", "film_thickness_m
 
 @dataclass(frozen=True)
 class Fact:
-    """A key of `[recording]` (or the sample rate) with its value and the words it was read from."""
+    """A key of `[recording]` (or the sample rate) with its value and the words it was read from.
+
+    `lacks_unit`: a size that is a number alone, as if it were in mm.
+    """
 
     key: str
     value: Any
     words: str
+    lacks_unit: bool = False
 
 
 def harvest_lines(lines: Iterable[str]) -> tuple[Fact, ...]:
-    """The facts that the lines above a table say, the first of each kind."""
+    """The facts that the lines above a table say, the first of each kind; a size with its unit before one without."""
     found: dict[str, Fact] = {}
     clock = stamp = None
     for line in lines:
@@ -89,10 +93,10 @@ def harvest_lines(lines: Iterable[str]) -> tuple[Fact, ...]:
         key, value = match["key"].strip(), match["value"].strip(" ,;\t")
         fact = _fact(key, value, words)
         if fact is not None:
-            found.setdefault(fact.key, fact)
+            _keep_first(found, fact)
         elif clock is None and re.search(_CLOCK, key.lower()):
             clock = _hour(value, words)
-    if STARTED_AT not in found and stamp is not None:
+    if stamp is not None and (STARTED_AT not in found or _is_day_of(found[STARTED_AT], stamp)):
         found[STARTED_AT] = stamp
     if STARTED_AT in found:
         found[STARTED_AT] = _with_hour(found[STARTED_AT], clock)
@@ -186,6 +190,8 @@ def _fact(key: str, value: str, words: str) -> Fact | None:
     for name, pattern in _SIZES:
         if re.search(pattern, _bare(key)):
             size = _size_mm(key, value)
+            if size is None and (size := _bare_number(key, value)) is not None:
+                return Fact(name, size, words, lacks_unit=True)
             return None if size is None else Fact(name, size, words)
     for name, pattern in _TEXTS:
         if re.search(pattern, plain) and value:
@@ -210,6 +216,14 @@ def _bare(key: str) -> str:
 def _size_mm(key: str, value: str) -> float | None:
     match = _UNIT_IN_KEY.match(key)
     return _number(value, match["unit"] if match else "", "mm")
+
+
+def _bare_number(key: str, value: str) -> float | None:
+    """A positive number without a unit beside it or in its key; None where there is one, or no number."""
+    match = _VALUE.match(value)
+    if match is None or match["unit"] or _UNIT_IN_KEY.match(key):
+        return None
+    return _number(value, "mm", "mm")
 
 
 def _number(value: str, unit: str, canonical: str) -> float | None:
@@ -260,6 +274,11 @@ def _stamp(line: str) -> Fact | None:
     return None if moment is None else Fact(STARTED_AT, moment, words[:100])
 
 
+def _is_day_of(day: Fact, moment: Fact) -> bool:
+    """Whether a fact is a day without an hour, and a moment is on that day."""
+    return str(day.value) == str(moment.value)[:10] + _NO_CLOCK and re.search(r"\d:\d", day.words) is None
+
+
 def _hour(value: str, words: str) -> Fact | None:
     """A time of day as ISO 8601; None where it is none."""
     for pattern in _CLOCK_PATTERNS:
@@ -287,8 +306,13 @@ def name_fact(fact: Fact) -> Any:
 
 
 def by_key(facts: Iterable[Fact]) -> Mapping[str, Fact]:
-    """Facts by their key, the first of each."""
+    """Facts by their key, the first of each; a size with its unit before one without."""
     found: dict[str, Fact] = {}
     for fact in facts:
-        found.setdefault(fact.key, fact)
+        _keep_first(found, fact)
     return found
+
+
+def _keep_first(found: dict[str, Fact], fact: Fact) -> None:
+    if fact.key not in found or (found[fact.key].lacks_unit and not fact.lacks_unit):
+        found[fact.key] = fact

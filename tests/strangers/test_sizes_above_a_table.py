@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
+from ingest.draft import make_draft
 from ingest.harvest import STARTED_AT, harvest_columns, harvest_lines
 
 
@@ -22,8 +26,17 @@ def test_the_start_of_a_test_is_read_in_its_own_words(line: str, moment: str) ->
     assert (fact.key, fact.value) == (STARTED_AT, moment)
 
 
+@pytest.mark.parametrize(
+    ("stamped", "moment"), [("18.03.2025", "2025-03-18T10:12:09"), ("19.03.2025", "2025-03-18T12:00:00")]
+)
+def test_a_day_has_the_hour_of_the_block_that_began_on_it(stamped: str, moment: str) -> None:
+    """It was noon although the line of the block says when that began."""
+    facts = harvest_lines(["Datum : \t18.03.2025", f"Datenerfassung\t\tZeit:\t41,02\ts\t{stamped} 10:12:09"])
+    assert [fact.value for fact in facts if fact.key == STARTED_AT] == [moment]
+
+
 def sizes(rows: list[list[str]]) -> dict[str, float]:
-    return {fact.key: fact.value for fact in harvest_columns(rows)}
+    return {fact.key: fact.value for fact in harvest_columns(rows) if not fact.lacks_unit}
 
 
 def test_sizes_are_read_from_a_small_table() -> None:
@@ -49,3 +62,19 @@ def test_sizes_are_read_from_a_small_table() -> None:
 )
 def test_sizes_that_nothing_tells_are_not_taken(rows: list[list[str]]) -> None:
     assert sizes(rows) == {}
+
+
+@pytest.mark.parametrize("unit", ["mm", "in"])
+def test_sizes_without_a_unit_are_asked_beside_a_displacement_in_mm(tmp_path: Path, unit: str) -> None:
+    """`Breite : 40,0` may be mm or cm: where the machine moves in mm it is asked, and nothing is taken unasked."""
+    time = np.arange(0, 60, 0.1)
+    moved = np.clip((time - 5) / 0.4, 0, 1) * 6
+    rows = [f"{a:.1f}\t{b:.3f}\t{0.2 * b:.4f}".replace(".", ",") for a, b in zip(time, moved, strict=True)]
+    head = ["Breite :\t40,0", "Dicke :\t0,5", "Dicke [mm] :\t0,52", "Zeit\tWeg\tKraft", f"s\t{unit}\tN"]
+    path = tmp_path / "strip.txt"
+    path.write_text("\n".join([*head, *rows, ""]), encoding="utf-8")
+    draft = make_draft(path)
+    asked = {q.key: q.suggestion for q in draft.questions if q.key.startswith("recording.film")}
+    assert asked == ({"recording.film_width_mm": 40.0} if unit == "mm" else {})
+    assert draft.content["recording"]["film_thickness_mm"] == 0.52
+    assert "film_width_mm" not in draft.content["recording"]
