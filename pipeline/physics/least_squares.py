@@ -73,7 +73,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from schemas.arrays import Float, Int
+from schemas.arrays import Bool, Float, Int
 
 Residuals: TypeAlias = Callable[[Float], Float]
 """Residuals (B, M) of several x (B, P)."""
@@ -150,10 +150,37 @@ class Solution:
     @property
     def covariance(self) -> Float:
         """(P, P), by a scaled pseudo-inverse: directions without information have huge variances, not infinite ones."""
+        inner, scale = self._scaled_information
+        return np.asarray(np.linalg.inv(inner) / np.outer(scale, scale))
+
+    @property
+    def information(self) -> Float:
+        """(P, P) whose inverse the covariance is, without the rounding of two inversions: with entries that hardly anything is known of
+        beside others known to many digits, the inverse of the covariance need not even be positive."""
+        inner, scale = self._scaled_information
+        return np.asarray(inner * np.outer(scale, scale))
+
+    @property
+    def _scaled_information(self) -> tuple[Float, Float]:
         normal = self.jacobian.T @ self.jacobian
         scale = np.sqrt(np.maximum(np.diag(normal), 1e-12))
-        inner = normal / np.outer(scale, scale) + _RIDGE * np.eye(scale.size)
-        return np.asarray(np.linalg.inv(inner) / np.outer(scale, scale))
+        return normal / np.outer(scale, scale) + _RIDGE * np.eye(scale.size), scale
+
+
+def find_marginal_root(information: Float, kept: Bool) -> Float:
+    """(K, K) R with Rᵀ R = what is known of the entries `kept` (P,) where the others may be anything: the Schur complement of those.
+
+    Parameters
+    ----------
+    information : (P, P) inverse of a covariance, positive definite but for rounding
+    """
+    scale = np.sqrt(np.diag(information))
+    inner = information / np.outer(scale, scale)
+    other = ~kept
+    across = inner[np.ix_(kept, other)]
+    left = inner[np.ix_(kept, kept)] - across @ np.linalg.solve(inner[np.ix_(other, other)], across.T)
+    values, vectors = np.linalg.eigh((left + left.T) / 2)
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * scale[kept])
 
 
 def minimise(

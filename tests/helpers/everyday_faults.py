@@ -135,6 +135,16 @@ def drop_out(first: float, stop: float) -> Callable[[Values], Values]:
     return held
 
 
+def lose(recording: Recording, quantity: str, first: float, stop: float) -> Recording:
+    """The recording without the samples that one channel has between two shares of the record."""
+    channel = recording.channels[quantity]
+    a, b = int(first * channel.values.size), int(stop * channel.values.size)
+    kept = replace(
+        channel, time_ns=np.delete(channel.time_ns, slice(a, b)), values=np.delete(channel.values, slice(a, b))
+    )
+    return replace(recording, channels={**recording.channels, quantity: kept})
+
+
 def all_of(recordings: Recordings) -> tuple[int, ...]:
     return tuple(range(len(recordings)))
 
@@ -313,6 +323,12 @@ EDITS: Mapping[str, Edit] = {
     ),
     "voltage of one multisine lost for a while": Edit(
         "dead_channel", MULTISINE, lambda r: change_channel(r, "voltage", drop_out(0.5, 0.6))
+    ),
+    "force of one sweep without samples for a while": Edit(
+        "dead_channel", SWEEP, lambda r: lose(r, "force", 0.5, 0.62)
+    ),
+    "displacement of one relaxation without samples for a while": Edit(
+        "dead_channel", pick("step", "mechanical", 0), lambda r: lose(r, "displacement", 0.4, 0.53)
     ),
     "force read 0.8 times from the seventh recording on": read_otherwise(from_seventh, 0.8),
     "force read 0.92 times from the fifth recording on": read_otherwise(from_fifth, 0.92),

@@ -15,6 +15,7 @@ from pipeline.physics.least_squares import (
     Evaluate,
     Options,
     Solution,
+    find_marginal_root,
     minimise,
     minimise_each,
     tie,
@@ -290,3 +291,22 @@ def test_a_step_stays_within_its_limits_and_leads_downhill(seed: int, damping: f
     assert np.all((low <= trial) & (trial <= high) & (np.abs(trial) <= 1.5))
     assert found.chi2 <= float(target @ target) * (1 + 1e-9)
     assert np.sum((design @ trial - target) ** 2) <= float(target @ target) * (1 + 1e-9)
+
+
+@given(seed=SEEDS, decades=st.floats(0, 14))
+@settings(max_examples=60)
+def test_information_is_positive_however_little_is_known_of_some_entries(seed: int, decades: float) -> None:
+    """The inverse of the covariance had negative entries on its diagonal: probabilities that rest on it were no numbers."""
+    rng = np.random.default_rng(seed)
+    jacobian = rng.normal(size=(12, 6)) * np.geomspace(1, 10**-decades, 6)
+    jacobian[:, 5] = jacobian[:, 4] * (1 + 10**-decades) + 10 ** -(decades + 4) * rng.normal(size=12)
+    solution = Solution(np.zeros(6), np.zeros(12), jacobian, 0.0, converged=True)
+    known = solution.information
+    assert (np.diag(known) > 0).all()
+    assert np.linalg.eigvalsh(known / np.sqrt(np.outer(np.diag(known), np.diag(known)))).min() > 0
+    kept = np.array([True, True, False, True, False, True])
+    root = find_marginal_root(known, kept)
+    assert np.isfinite(root).all()
+    if decades < 2:
+        inverse = np.linalg.inv(solution.covariance[np.ix_(kept, kept)])
+        np.testing.assert_allclose(root.T @ root, inverse, rtol=1e-5, atol=1e-5 * np.abs(inverse).max())

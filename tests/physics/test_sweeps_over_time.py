@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.diagnose.faults.undo import stretch_clock
 from pipeline.diagnose.features import blocks, chirp
 from pipeline.diagnose.features.kinds import CHIRP_HARMONIC, CHIRP_RESPONSE
 from pipeline.diagnose.features.reduce import reduce
@@ -20,6 +21,7 @@ from pipeline.diagnose.search.plain_fit import fit_plain
 from pipeline.diagnose.search.screen import compute_secants, compute_signatures
 from pipeline.diagnose.simulation.session import Session, make_session
 from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.diagnose.simulation.sweep_courses import SweepCourse
 from pipeline.diagnose.simulation.sweeps import SweepFamily
 from pipeline.physics.film import RelaxationModel
 from tests.helpers.truth_rig import Effect
@@ -63,6 +65,24 @@ def test_a_reader_is_what_the_kernels_are(seed: int, rest: int, after: int, high
     else:
         wanted = harmonics.kernels @ force
         assert harmonic == pytest.approx(wanted, rel=1e-7, abs=1e-9 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("factor", [0.9, 0.9407, 1.25])
+def test_a_sweep_whose_clock_is_put_right_is_read_by_the_same_kernels(factor: float) -> None:
+    """Its windows were those of the old clock at frequencies of the new one: another number of harmonics ended the diagnosis."""
+    (recording,) = (r for r in true_session(SESSION, SWEEPS[:1]).recordings)
+    features = reduce(recording)
+    mended = stretch_clock(stretch_clock(features, factor), 1.0)
+    blocks_of = {kind: [b for b in mended.blocks if b.kind == kind] for kind in (CHIRP_RESPONSE, CHIRP_HARMONIC)}
+    before = [b for b in features.blocks if b.kind == CHIRP_RESPONSE]
+    for was, response, harmonic in zip(before, blocks_of[CHIRP_RESPONSE], blocks_of[CHIRP_HARMONIC], strict=True):
+        nodes = np.geomspace(0.1, 1e3, 60)
+        force = np.random.default_rng(4).normal(size=response.support["piece_mm"].size).cumsum()
+        seen = SweepCourse(response, nodes * factor).read(force)
+        assert seen.size == response.size + harmonic.size + 1
+        np.testing.assert_allclose(seen, SweepCourse(was, nodes).read(force), rtol=1e-9, atol=1e-9 * np.abs(seen).max())
+        assert response.support["piece_s"] * factor == pytest.approx(was.support["piece_s"])
+        assert harmonic.support["within_hz"].max() <= 0.41 * factor / was.support["piece"][2]
 
 
 def test_a_spectrum_is_read_as_the_force_that_it_is() -> None:

@@ -17,7 +17,7 @@ from pipeline.diagnose.simulation.families import dynamic, film_at, rig_of
 from pipeline.diagnose.simulation.parameters import ACTUATION, BaseModel, Physical
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
-from pipeline.physics.least_squares import minimise
+from pipeline.physics.least_squares import find_marginal_root, minimise
 from schemas.arrays import Bool, Complex, Float
 from schemas.protocols import ELECTRICAL, MECHANICAL
 
@@ -177,7 +177,7 @@ class Suspect:
         j = self.own.whiten(prediction.slope)
         if not (np.isfinite(e).all() and np.isfinite(j).all()):
             return float("inf")
-        known = np.linalg.inv(self.fit.solution.covariance)
+        known = self.fit.solution.information
         scale = np.sqrt(np.diag(known))
         shared = j / scale
         inner = known / np.outer(scale, scale) + shared.T @ shared
@@ -216,7 +216,7 @@ class Suspect:
         """χ² with entries moved along some ways (w, P) by any amount, and along the others as far as these are known."""
         model, theta = self.fit.model, self.fit.theta
         beside = ~(ways != 0).any(axis=0)
-        known = np.linalg.cholesky(np.linalg.inv(self.fit.solution.covariance[np.ix_(beside, beside)])).T
+        known = find_marginal_root(self.fit.solution.information, beside)
         every = np.concatenate([ways, np.eye(theta.size)[beside]])
         low, high = make_bounds(model)
 

@@ -6,7 +6,7 @@ therefore a factor on each kind of features, and on each part of their noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from pipeline.diagnose.features.kinds import (
     CHIRP_HARMONIC,
     CHIRP_LEVEL,
     CHIRP_RESPONSE,
+    CLOCK,
     CYCLE_FORCE,
     CYCLIC_HARMONIC,
     CYCLIC_LEVEL,
@@ -160,12 +161,35 @@ def turned(values: Float, factor: Complex) -> Float:
     return np.concatenate([product.real, product.imag], axis=-1)
 
 
+def _stretch_support(support: Mapping[str, Float], factor: float) -> dict[str, Float]:
+    """What a block keeps for predictions, by the true clock: the names of times and frequencies have their unit in them."""
+    found = dict(support)
+    for name, values in support.items():
+        if name.endswith("_s"):
+            found[name] = values / factor
+        elif name.endswith("_hz"):
+            found[name] = values * factor
+    if "piece" in support:
+        found["piece"] = support["piece"] * [1.0, 1.0, 1 / factor, factor, factor]
+        found[CLOCK] = support.get(CLOCK, np.ones(1)) * factor
+    return found
+
+
 def stretch_clock(features: RecordingFeatures, factor: float) -> RecordingFeatures:
     """The features had the clock of the recording claimed `factor` times less time than it does.
 
-    Weights of samples stay as they are: what was claimed to be a frequency is `factor` times that.
+    Weights of samples stay as they are: what was claimed to be a frequency is `factor` times that, also in what a prediction over time
+    needs.
     """
-    blocks = tuple(replace(b, frequency_hz=b.frequency_hz * factor, time_s=b.time_s / factor) for b in features.blocks)
+    blocks = tuple(
+        replace(
+            b,
+            frequency_hz=b.frequency_hz * factor,
+            time_s=b.time_s / factor,
+            support=_stretch_support(b.support, factor),
+        )
+        for b in features.blocks
+    )
     noise = tuple(
         replace(n, interval_s=n.interval_s / factor, frequency_hz=n.frequency_hz * factor) for n in features.noise
     )

@@ -15,6 +15,8 @@ from datetime import datetime
 from schemas.arrays import Float
 from schemas.metadata import RigConstants
 
+CLOCK = "clock"
+"""Name in a block's support, where a clock was put right: true frequencies over those that were claimed."""
 CHIRP_RESPONSE = "chirp.response"
 """F/x0 of one sweep in bands, N/mm, complex."""
 CHIRP_HARMONIC = "chirp.harmonic"

@@ -17,7 +17,7 @@ from pipeline.transform.quality import flat_tops
 from schemas.arrays import Float, Int
 from schemas.metadata import RecordingMetadata
 from schemas.protocols import ELECTRICAL, MECHANICAL
-from schemas.recording import Recording
+from schemas.recording import Channel, Recording
 
 STATED, SEEN = "stated_", "seen_"
 """Before the names of a pair in `RecordingFeatures.values`: what the metadata say, and what the samples show."""
@@ -78,6 +78,8 @@ def observe_channels(recording: Recording) -> dict[str, float]:
     source = drive(recording)
     given, found = source.input.values, source.output.values
     values = _find_held(given, found, (source.input.quantity, source.output.quantity))
+    for name, share in find_lost(source.input, source.output).items():
+        values[name] = max(share, values.get(name, 0.0))
     stopped = find_stopped(given, source.input.quantity, found) if metadata.protocol in _MOVING else {}
     values |= stopped
     values |= {STATED + key: value for key in SIZES if (value := getattr(metadata, key)) is not None}
@@ -130,6 +132,28 @@ def _find_held(given: Float, found: Float, names: tuple[str, str]) -> dict[str, 
         first, stop = _longest_run(values)
         if stop - first == values.size:
             share[HELD + name] = 1.0
+    return share
+
+
+def find_lost(given: Channel, found: Channel) -> dict[str, float]:
+    """Share of the record in which input or output has no samples while the other one goes on: the longest of such times of each.
+
+    What is lost of both at once was lost by what records them, and is no channel's.
+    """
+    parts = [(c.quantity, c.time_ns[np.isfinite(c.values)]) for c in (given, found)]
+    if any(time.size < _FEWEST_HELD for _, time in parts):
+        return {}
+    begin, end = min(int(time[0]) for _, time in parts), max(int(time[-1]) for _, time in parts)
+    share = {}
+    for (name, time), (_, other) in (parts, parts[::-1]):
+        edges = np.concatenate([[begin], time, [end]])
+        longest = int(np.argmax(np.diff(edges)))
+        first, last = int(edges[longest]), int(edges[longest + 1])
+        meanwhile = int(np.searchsorted(other, last) - np.searchsorted(other, first, side="right"))
+        # Of two clocks the slower one has no samples between its own.
+        usual = float(np.median(np.diff(time)))
+        if meanwhile >= _FEWEST_HELD and last - first > _FEWEST_HELD * usual:
+            share[HELD + name] = (last - first) / (end - begin)
     return share
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.diagnose.features.chirp import chirp_blocks
 from pipeline.diagnose.features.cyclic import cyclic_blocks
 from pipeline.diagnose.features.kinds import EXTRA_MASS, FeatureBlock, NoiseSample, RecordingFeatures
-from pipeline.diagnose.features.observed import find_dead, observe_channels
+from pipeline.diagnose.features.observed import HELD, find_dead, observe_channels
 from pipeline.diagnose.features.ramp import cycle_blocks, relaxation_blocks
 from pipeline.diagnose.features.records import strain_length_mm
 from pipeline.diagnose.features.rest import calibration_blocks, hum_block
@@ -68,8 +68,13 @@ def reduce(recording: Recording) -> RecordingFeatures:
         # No response, but the fault is to be said.
         blocks, warnings = [], [f"{' and '.join(f'the {name} stands still' for name in dead)}: nothing is measured"]
     else:
-        blocks, noise, values, warnings = _REDUCERS[key](heavy, nodes)
-        hum = hum_block(recording) if metadata.loading in (MECHANICAL, ELECTRICAL) else None
+        try:
+            blocks, noise, values, warnings = _REDUCERS[key](heavy, nodes)
+        except NotIdentifiableError as error:
+            if not any(name.startswith(HELD) for name in observed):
+                raise
+            blocks, warnings = [], [str(error)]  # for what a channel has lost, which is to be said
+        hum = hum_block(recording) if blocks and metadata.loading in (MECHANICAL, ELECTRICAL) else None
         blocks += [] if hum is None else [hum]
     values |= _values(recording) | observed
     return RecordingFeatures(

@@ -36,7 +36,10 @@ _ENVELOPE_CYCLES = 1.0
 
 @dataclass(frozen=True)
 class Piece:
-    """A sweep with the rest about it: input mm (n,), samples start…end−1 in which it moves, its band in Hz."""
+    """A sweep with the rest about it: input mm (n,), samples start…end−1 in which it moves, its band in Hz.
+
+    `clock`: true frequencies over those that were claimed when the mains were left out.
+    """
 
     input: Float
     start: int
@@ -44,6 +47,7 @@ class Piece:
     interval_s: float
     low_hz: float
     high_hz: float
+    clock: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -211,7 +215,7 @@ def _cut(piece: Piece) -> _Cut:
     spectrum = scipy.fft.fft(piece.input)
     frequency = np.arange(piece.input.size) / duration
     for mains in MAINS_HZ:
-        spectrum[np.abs(frequency - mains) < 1.01 / duration] = 0.0
+        spectrum[np.abs(frequency - mains * piece.clock) < 1.01 / duration] = 0.0
     edges = _edges(piece.low_hz, piece.high_hz, duration)
     kept = np.array([np.any(spectrum[a:b] != 0) for a, b in itertools.pairwise(edges)])
     return _Cut(spectrum, edges, kept)
