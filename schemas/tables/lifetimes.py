@@ -246,7 +246,7 @@ TABLES: tuple[Table, ...] = (
             "configuration",
         ),
         made_by=(MadeBy("group", group="survival"),),
-        pages=("campaign",),
+        pages=("index", "campaign"),
     ),
     Table(
         "voltage_residuals",
