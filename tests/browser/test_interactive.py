@@ -67,6 +67,7 @@ def test_only_our_script_runs_and_nothing_is_asked_for(browser: chromium.Chromiu
     assert browser.evaluate("document.documentElement.scrollWidth") <= 420
 
 
+@pytest.mark.long
 def test_another_script_does_not_run(browser: chromium.Chromium, asked: Path) -> None:
     """The policy is held by its hash: one letter more, and the browser refuses."""
     text = (asked / "index.html").read_text(encoding="utf-8")
@@ -82,6 +83,7 @@ TABLE = "[...document.querySelectorAll('main .scroll table')].find(t => t.tBodie
 VISIBLE = f"[...({TABLE}).tBodies[0].rows].filter(r => r.offsetParent !== null).map(r => r.cells[0].textContent.trim())"
 
 
+@pytest.mark.long
 def test_tables_filter(browser: chromium.Chromium, asked: Path) -> None:
     browser.open(asked / "recordings.html")
     before = browser.evaluate(VISIBLE)
@@ -98,6 +100,7 @@ def test_tables_filter(browser: chromium.Chromium, asked: Path) -> None:
     assert browser.evaluate(VISIBLE) == before
 
 
+@pytest.mark.long
 def test_tables_sort_by_number_and_by_name(browser: chromium.Chromium, asked: Path) -> None:
     """Numbers of any form go by size: groups of thousands, powers of ten, true minus, ±, limits; what is absent goes last."""
     browser.open(asked / "specimens.html")
@@ -120,6 +123,7 @@ def test_tables_sort_by_number_and_by_name(browser: chromium.Chromium, asked: Pa
     assert names == sorted(names, key=lambda n: [int(p) if p.isdigit() else p.lower() for p in re.split(r"(\d+)", n)])
 
 
+@pytest.mark.long
 def test_the_search_finds_pages_and_what_stands_on_this_one(browser: chromium.Chromium, asked: Path) -> None:
     browser.open(asked / "index.html")
     write(browser, "#search", "p-07_step")
@@ -146,6 +150,7 @@ def drawn_ticks(browser: chromium.Chromium) -> list[str]:
     return found
 
 
+@pytest.mark.long
 def test_the_pointer_says_values_and_a_drag_zooms(browser: chromium.Chromium, asked: Path) -> None:
     browser.open(asked / SPECIMEN)
     data = browser.evaluate(f"JSON.parse(({FIGURE}).nextElementSibling.textContent)")
@@ -192,6 +197,7 @@ def test_the_pointer_says_values_and_a_drag_zooms(browser: chromium.Chromium, as
     assert drawn_ticks(browser) == []
 
 
+@pytest.mark.long
 def test_a_record_can_be_zoomed_into_beyond_what_is_drawn(browser: chromium.Chromium, asked: Path) -> None:
     browser.open(asked / RECORDING)
     data = browser.evaluate(f"JSON.parse(({FIGURE}).nextElementSibling.textContent)")
@@ -205,6 +211,7 @@ def test_a_record_can_be_zoomed_into_beyond_what_is_drawn(browser: chromium.Chro
     assert len(drawn_ticks(browser)) >= 2 * len(data), "all channels go along"
 
 
+@pytest.mark.long
 def test_specimens_are_laid_over_each_other(browser: chromium.Chromium, asked: Path) -> None:
     browser.open(asked / "index.html")
     boxes = "[...document.querySelectorAll('ul.many input[type=checkbox]')]"
@@ -225,6 +232,7 @@ def test_specimens_are_laid_over_each_other(browser: chromium.Chromium, asked: P
     assert not browser.evaluate("document.querySelector('figure.overlay').offsetParent !== null")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", ["index.html", SPECIMEN, RECORDING])
 def test_with_scripts_off_the_page_says_everything(
     browser: chromium.Chromium, asked: Path, site: Path, page: str
@@ -241,6 +249,7 @@ def test_with_scripts_off_the_page_says_everything(
     assert len(texts[0][0]) > 500
 
 
+@pytest.mark.long
 def test_values_are_said_without_a_script(browser: chromium.Chromium, site: Path) -> None:
     """Over each measured point lies a title that the browser shows by itself."""
     browser.open(site / SPECIMEN)

@@ -66,14 +66,14 @@ def test_nothing_is_found_where_nothing_is_hidden(seed: int) -> None:
 @pytest.mark.parametrize(
     "id",
     [
-        "drive_lag",
         "missing_relaxation",
-        "passive_strip",
         "load_cell_damping",
-        "electrode_degradation",
         "wrinkling",
-        "sensor_delay",
         "baseline_drift",
+        "drive_lag",
+        "passive_strip",
+        "electrode_degradation",
+        "sensor_delay",
     ],
 )
 def test_the_hidden_effect_is_named_first(id: str) -> None:
@@ -110,7 +110,7 @@ def test_what_the_actuation_does_over_the_voltage_is_told_apart(effect: Effect) 
     assert {*found.also_possible} <= {UNLISTED}
 
 
-@pytest.mark.long_after(1)
+@pytest.mark.long
 @pytest.mark.parametrize("mains_hz", [50.0, 60.0])
 def test_mains_are_named_with_their_frequency(mains_hz: float) -> None:
     found = observe(made(Case(SEED), (Effect("mains_hum", 5e-3, {"mains_hz": mains_hz}),)))

@@ -54,7 +54,7 @@ ONE_RECORDING = [
 """A gain of one recording alone, by a factor that is no usual slip, is no fault: a film that softens does that, too."""
 
 
-@pytest.mark.long_after(12)
+@pytest.mark.long_after(7)
 @pytest.mark.parametrize("name", ONE_RECORDING)
 def test_a_fault_of_one_recording_is_named_with_it(name: str) -> None:
     edit = EDITS[name]
@@ -157,7 +157,7 @@ SHARED = [
 ]
 
 
-@pytest.mark.long_after(1)
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHARED)
 def test_what_many_recordings_share_is_named_with_all_of_them(name: str) -> None:

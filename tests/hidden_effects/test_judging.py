@@ -14,7 +14,7 @@ SESSION = 103
 CASE = Case(SESSION)
 
 
-@pytest.mark.long_after(1)
+@pytest.mark.long
 @pytest.mark.parametrize("id", ["cyclic_softening", "wrinkling", "leakage"])
 def test_what_is_called_detectable_is(id: str) -> None:
     """Within a factor of two: the forms differ, and the hardest fifth of the shapes is not promised."""
