@@ -31,6 +31,7 @@ SUFFIXES = frozenset(
 """Units as they stand behind a name: `force_V`, `HV_kV`."""
 _WRITTEN = re.compile(r"^(?P<name>.+?)(?:\s+(?:in|-)\s+|[_ ])(?P<unit>[A-Za-zµ]{1,4})$")
 _IN_UNIT = re.compile(r"^(?P<name>.+?)\s+in\s+(?P<unit>\S{1,10})$")
+"""A unit in whatever characters behind `in`: `T in °C`."""
 _SHOUTED_SECONDS, _CLOCK = ("S", "SEC", "Sec"), re.compile(r"(t|time|zeit|temps|elapsed|run ?time)\b|time$")
 """Seconds behind the name of a clock in capitals: `Time_S`; behind another name they are siemens, or an index."""
 _SI_BASE = {"n": "N", "v": "V", "kv": "kV", "hz": "Hz", "mpa": "MPa", "kpa": "kPa", "pa": "Pa", "pf": "pF"}

@@ -288,16 +288,12 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
     if kind == LIFETIMES and "configuration" not in chosen:
         about["configuration"] = "{stem}"
         questions.append(Question("recording.configuration", "how the films are built", find_stem(opened.path)))
-    content = {"kind": kind, **make_format_keys(opened), "columns": columns, "recording": about}
-    content |= {"repeated": MEAN} if repeated else {}
     sweeps = select_sweeps(opened, chosen) if kind == FREQUENCY_RESPONSE else None
     selections = [s for s in (sweeps, each) if s is not None]
-    if selections:
-        content["select"] = selections
     beside = find_warm_groups(opened, chosen) if kind in (FREQUENCY_RESPONSE, RELAXATION) and not selections else []
-    if beside:
-        content["select"] = beside
-        content.pop("repeated", None)
+    content = {"kind": kind, **make_format_keys(opened), "columns": columns, "recording": about}
+    content |= {"repeated": MEAN} if repeated and not beside else {}
+    content |= {"select": chosen_rows} if (chosen_rows := selections or beside) else {}
     if each is not None or beside:
         about["recording_id"] = about["recording_id"] + "-{each}"
         remarks["recording.specimen_id"] = "all temperatures of one specimen make a master curve"

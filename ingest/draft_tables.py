@@ -193,7 +193,7 @@ def select_isotherms(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> tup
     return selection, repeated, remark
 
 
-_DEGREES = re.compile(r"(?P<number>[-−]?\d+(?:[.,]\d+)?)\s*(?P<unit>°\s*[CF]|K|deg\s*C)?(?![\w.,])")
+_DEGREES = re.compile(r"(?P<number>[-−]?\d+(?:[.,]\d+)?)\s*(?:°\s*[CF]|K|deg\s*C)?(?![\w.,])")
 """A temperature as a text above a group of columns has it."""
 _WARM = r"temp|°\s*[cf]\b|\bdeg|kelvin"
 """What a line of temperatures says beside its numbers."""

@@ -276,7 +276,11 @@ def _stamp(line: str) -> Fact | None:
 
 def _is_day_of(day: Fact, moment: Fact) -> bool:
     """Whether a fact is a day without an hour, and a moment is on that day."""
-    return str(day.value) == str(moment.value)[:10] + _NO_CLOCK and re.search(r"\d:\d", day.words) is None
+    return _lacks_hour(day) and str(day.value)[:10] == str(moment.value)[:10]
+
+
+def _lacks_hour(day: Fact) -> bool:
+    return str(day.value).endswith(_NO_CLOCK) and re.search(r"\d:\d", day.words) is None
 
 
 def _hour(value: str, words: str) -> Fact | None:
@@ -291,7 +295,7 @@ def _hour(value: str, words: str) -> Fact | None:
 
 def _with_hour(day: Fact, clock: Fact | None) -> Fact:
     """A day with the time of day that another line gives; noon where none does."""
-    if not day.value.endswith(_NO_CLOCK) or re.search(r"\d:\d", day.words):
+    if not _lacks_hour(day):
         return day
     if clock is None:
         return Fact(STARTED_AT, day.value.replace(_NO_CLOCK, _NOON), f"{day.words} (no hour: noon)")

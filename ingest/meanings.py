@@ -93,10 +93,9 @@ def guess_columns(
             if (header and not name) or (i in found and found[i].meaning is not None):
                 continue
             label: str | int = name if name and counts[name] == 1 else i
-            plain, inside = split_name(name)
-            below = (units[i] if i < len(units) else "").strip("[]() ")
-            written = below or inside.strip("[]() ")
-            unit = next((u for u in (below, inside.strip("[]() ")) if u and is_any_unit(u)), "")
+            plain, *said_units = _split_head(name, units, i)
+            written = next((u for u in said_units if u), "")
+            unit = next((u for u in said_units if u and is_any_unit(u)), "")
             if str(label) in said:
                 meaning: str | None = None if said[str(label)] == NOTHING else said[str(label)]
                 raw = meaning is not None and (not _fits(meaning, unit) or is_scope(plain)) and meaning != TIME
@@ -122,12 +121,18 @@ def guess_columns(
     return _with_elapsed(tuple(found[i] for i in sorted(found)))
 
 
+def _split_head(name: str, units: Sequence[str], i: int) -> tuple[str, str, str]:
+    """The name of column i, what the row of units has below it, and the unit in the name itself."""
+    plain, inside = split_name(name)
+    return plain, (units[i] if i < len(units) else "").strip("[]() "), inside.strip("[]() ")
+
+
 def _find_second(header: Sequence[str], units: Sequence[str]) -> set[int]:
     """The columns that are named as others are, and are said to be a command or the machine's own: the others come first."""
     meant: dict[str, list[int]] = {}
     for i, name in enumerate(header):
-        plain, inside = split_name(name)
-        meaning = guess_meaning(plain, (units[i] if i < len(units) else "").strip("[]() ") or inside.strip("[]() "))
+        plain, below, inside = _split_head(name, units, i)
+        meaning = guess_meaning(plain, below or inside)
         if meaning is not None and meaning in _named(plain):
             meant.setdefault(meaning, []).append(i)
     found: set[int] = set()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any, final
 
 import numpy as np
@@ -357,8 +358,8 @@ def _end_before_slack(step: _Step, time: Float, force: Float) -> _Step:
     rest = force[time < step.start_s]
     at_rest = float(rest.mean() if rest.size >= _FEWEST_REST else force[0])
     reach, level = abs(step.after - step.before), step.after
-    for number, (ramp, (_, end, until)) in enumerate(zip(step.later, step.holds[1:], strict=True)):
-        _, ended, left = step.holds[number]
+    pairs = zip(step.later, pairwise(step.holds), strict=True)
+    for number, (ramp, ((_, ended, left), (_, end, until))) in enumerate(pairs):
         level += ramp.step
         if abs(level - step.before) > _STILL * reach:
             continue

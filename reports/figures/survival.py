@@ -188,29 +188,23 @@ def _find_room(
     for left, right, top, bottom in taken:
         level = (tops < bottom) & (top < tops + high)
         hidden += ((lefts < right) & (left < lefts + wide))[:, None] & level
-    away = _least_distances(lefts, tops, wide, high, own)
+    boxes = lefts[:, None, None], lefts[:, None, None] + wide, tops[:, None], tops[:, None] + high
+    away = _distances(boxes, own).min(axis=-1)
     nearest = np.full_like(away, np.inf)
     for other in others:
-        nearest = np.minimum(nearest, _least_distances(lefts, tops, wide, high, other))
+        nearest = np.minimum(nearest, _distances(boxes, other).min(axis=-1))
     cost = away + _MISTAKEN * np.maximum(away - nearest, 0.0) + _COVERED * covered + _COVERED**2 * hidden
     across, down = np.unravel_index(int(np.argmin(cost)), cost.shape)
     left, top = float(lefts[across]), float(tops[down])
     return left, left + wide, top, top + high
 
 
-def _least_distances(lefts: Float, tops: Float, wide: float, high: float, points: Float) -> Float:
-    """(L, T) least distances of points (n, 2) from boxes at `lefts` (L,) and `tops` (T,), px; 0 within one."""
-    right, below = lefts[:, None] + wide, tops[:, None] + high
-    across = np.maximum(np.maximum(lefts[:, None] - points[:, 0], points[:, 0] - right), 0.0)
-    down = np.maximum(np.maximum(tops[:, None] - points[:, 1], points[:, 1] - below), 0.0)
-    return np.asarray(np.sqrt(np.min(across[:, None] ** 2 + down[None] ** 2, axis=-1)))
-
-
-def _distances(box: tuple[float, float, float, float], points: Float) -> Float:
-    """From a box (left, right, top, bottom) to points (n, 2), px; 0 within it."""
+def _distances(box: tuple[float | Float, float | Float, float | Float, float | Float], points: Float) -> Float:
+    """From a box (left, right, top, bottom) to points (n, 2), px; 0 within it. Of many boxes, each (…, 1), all: (…, n)."""
     left, right, top, bottom = box
-    across = np.maximum(np.maximum(left - points[:, 0], points[:, 0] - right), 0.0)
-    return np.hypot(across, np.maximum(np.maximum(top - points[:, 1], points[:, 1] - bottom), 0.0))
+    x, y = points.T
+    across = np.maximum(np.maximum(left - x, x - right), 0.0)
+    return np.asarray(np.hypot(across, np.maximum(np.maximum(top - y, y - bottom), 0.0)))
 
 
 def _trace(panel: Panel, g: GroupCurve) -> Float:

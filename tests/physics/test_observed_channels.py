@@ -11,6 +11,7 @@ import pytest
 from pipeline.diagnose.features.observed import FREQUENCY, HELD, SEEN, observe_channels
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
+from tests.helpers.everyday_faults import lose
 
 STOP_HZ, RATE_HZ, SWEEP_S, REST_S = 100.0, 1000.0, 20.0, 1.0
 
@@ -82,27 +83,20 @@ def test_a_machine_that_resets_its_reading_at_rest_has_lost_nothing() -> None:
     assert HELD + "displacement" not in observed
 
 
-def without(recording: Recording, quantity: str, first: float, stop: float, every: int = 1) -> Recording:
-    """The recording with every nth sample of a channel, and none between two shares of the record."""
-    channel = recording.channels[quantity]
-    places = np.arange(channel.values.size)[::every]
-    kept = places[(places < first * channel.values.size) | (places >= stop * channel.values.size)]
-    other = replace(channel, time_ns=channel.time_ns[kept], values=channel.values[kept])
-    return replace(recording, channels={**recording.channels, quantity: other})
-
-
 @pytest.mark.parametrize(("first", "stop"), [(0.4, 0.5), (0.0, 0.2), (0.85, 1.0)])
 @pytest.mark.parametrize("quantity", ["force", "displacement"])
 def test_what_one_channel_loses_while_the_other_goes_on_is_its_own(quantity: str, first: float, stop: float) -> None:
     """Lost samples were left out of all that follows, and nobody was told whose they were."""
-    found = observe_channels(without(sweep(0.0, 2e-4), quantity, first, stop))
+    found = observe_channels(lose(sweep(0.0, 2e-4), quantity, first, stop))
     held = {name: share for name, share in found.items() if name.startswith(HELD)}
     assert held == {HELD + quantity: pytest.approx(stop - first, abs=0.002)}
 
 
 def test_what_both_lose_is_no_channels_and_a_slower_clock_loses_nothing() -> None:
     whole = sweep(0.0, 2e-4)
-    both = without(without(whole, "force", 0.4, 0.5), "displacement", 0.4, 0.5)
-    slow = without(whole, "force", 0.0, 0.0, every=40)
+    both = lose(lose(whole, "force", 0.4, 0.5), "displacement", 0.4, 0.5)
+    force = whole.channels["force"]
+    thinned = replace(force, time_ns=force.time_ns[::40], values=force.values[::40])
+    slow = replace(whole, channels={**whole.channels, "force": thinned})
     for recording in (whole, both, slow):
         assert not any(name.startswith(HELD) for name in observe_channels(recording))
