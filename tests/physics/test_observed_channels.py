@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.diagnose.features.observed import FREQUENCY, HELD, SEEN, observe_channels
+from pipeline.diagnose.features.reduce import reduce
+from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
 from tests.helpers.everyday_faults import lose
@@ -100,3 +102,11 @@ def test_what_both_lose_is_no_channels_and_a_slower_clock_loses_nothing() -> Non
     slow = replace(whole, channels={**whole.channels, "force": thinned})
     for recording in (whole, both, slow):
         assert not any(name.startswith(HELD) for name in observe_channels(recording))
+
+
+def test_only_a_loss_that_is_a_fault_stands_in_for_the_features() -> None:
+    """Else the reason why there are none would be told to nobody."""
+    whole = sweep(0.0, 2e-4)
+    assert reduce(lose(whole, "force", 0.4, 0.55)).blocks == ()
+    with pytest.raises(NotIdentifiableError):
+        reduce(lose(whole, "force", 0.5, 0.505))

@@ -71,7 +71,7 @@ def reduce(recording: Recording) -> RecordingFeatures:
         try:
             blocks, noise, values, warnings = _REDUCERS[key](heavy, nodes)
         except NotIdentifiableError as error:
-            if not any(name.startswith(HELD) for name in observed):
+            if not any(name.startswith(HELD) and share > RULES.fault.held for name, share in observed.items()):
                 raise
             blocks, warnings = [], [str(error)]  # for what a channel has lost, which is to be said
         hum = hum_block(recording) if blocks and metadata.loading in (MECHANICAL, ELECTRICAL) else None
