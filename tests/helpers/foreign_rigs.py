@@ -7,6 +7,7 @@ files and returns what is hidden (`tests/foreign/README.md`). Nothing here looks
 from __future__ import annotations
 
 import importlib
+import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -50,7 +51,7 @@ class Answer:
     `faults`: id, recordings, and the corrections proposed (key, value now, value proposed, probability) of the first of them.
     `failed`: why it could not be diagnosed; `refused`: recordings of which no features can be made, with the reason. `contradictions`:
     what the tables of the diagnosis say against each other; None where that was not asked. `study`: seed of the study in which it was
-    asked, 0 for those before seeds were kept.
+    asked, 0 for those before seeds were kept. `log_odds`: of every hypothesis against the most probable one; None where they were not kept.
     """
 
     rig: str
@@ -73,6 +74,7 @@ class Answer:
     refused: tuple[str, ...] = ()
     contradictions: tuple[str, ...] | None = None
     study: int = 0
+    log_odds: Mapping[str, float] | None = None
 
     def as_line(self) -> dict[str, Any]:
         """For a file of JSON lines."""
@@ -164,4 +166,5 @@ def _tell(
         recordings=recordings,
         seconds=round(seconds, 1),
         refused=refused,
+        log_odds={name: round(math.log(p / likely[0][1]), 2) for name, p in found.probabilities.items() if p > 0},
     )  # fmt: skip

@@ -94,6 +94,19 @@ def test_what_one_channel_loses_while_the_other_goes_on_is_its_own(quantity: str
     assert held == {HELD + quantity: pytest.approx(stop - first, abs=0.002)}
 
 
+@pytest.mark.parametrize("quantity", ["force", "displacement"])
+@pytest.mark.parametrize("at_end", [False, True])
+def test_a_logger_that_is_started_later_or_stopped_earlier_at_rest_has_lost_nothing(
+    quantity: str, at_end: bool
+) -> None:
+    """Loggers are started one after the other: a tenth of the record without one of them was a dead channel."""
+    whole = sweep(0.0, 2e-4)
+    rest = 0.9 * REST_S / (whole.channels["force"].time_ns[-1] * 1e-9)
+    first, stop = (1 - rest, 1.0) if at_end else (0.0, rest)
+    found = observe_channels(lose(whole, quantity, first, stop))
+    assert not any(name.startswith(HELD) for name in found)
+
+
 def test_what_both_lose_is_no_channels_and_a_slower_clock_loses_nothing() -> None:
     whole = sweep(0.0, 2e-4)
     both = lose(lose(whole, "force", 0.4, 0.5), "displacement", 0.4, 0.5)

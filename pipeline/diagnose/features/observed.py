@@ -138,22 +138,30 @@ def _find_held(given: Float, found: Float, names: tuple[str, str]) -> dict[str, 
 def find_lost(given: Channel, found: Channel) -> dict[str, float]:
     """Share of the record in which input or output has no samples while the other one goes on: the longest of such times of each.
 
-    What is lost of both at once was lost by what records them, and is no channel's.
+    What is lost of both at once was lost by what records them, and is no channel's. Two loggers need not be started and stopped
+    together: before a channel's first sample and after its last, the other must move, not only be there.
     """
-    parts = [(c.quantity, c.time_ns[np.isfinite(c.values)]) for c in (given, found)]
-    if any(time.size < _FEWEST_HELD for _, time in parts):
+    parts = [
+        (c.quantity, c.time_ns[sound], c.values[sound]) for c in (given, found) for sound in [np.isfinite(c.values)]
+    ]
+    if any(time.size < _FEWEST_HELD for _, time, _ in parts):
         return {}
-    begin, end = min(int(time[0]) for _, time in parts), max(int(time[-1]) for _, time in parts)
+    begin, end = min(int(time[0]) for _, time, _ in parts), max(int(time[-1]) for _, time, _ in parts)
     share = {}
-    for (name, time), (_, other) in (parts, parts[::-1]):
-        edges = np.concatenate([[begin], time, [end]])
-        longest = int(np.argmax(np.diff(edges)))
-        first, last = int(edges[longest]), int(edges[longest + 1])
-        meanwhile = int(np.searchsorted(other, last) - np.searchsorted(other, first, side="right"))
+    for (name, time, _), (_, other, values) in (parts, parts[::-1]):
         # Of two clocks the slower one has no samples between its own.
-        usual = float(np.median(np.diff(time)))
-        if meanwhile >= _FEWEST_HELD and last - first > _FEWEST_HELD * usual:
-            share[HELD + name] = (last - first) / (end - begin)
+        fewest = _FEWEST_HELD * float(np.median(np.diff(time)))
+        edges = np.concatenate([[begin], time, [end]])
+        gaps = np.diff(edges)
+        wide = np.flatnonzero(gaps > fewest)
+        for place in wide[np.argsort(-gaps[wide])]:
+            meanwhile = values[
+                np.searchsorted(other, edges[place], side="right") : np.searchsorted(other, edges[place + 1])
+            ]
+            inside = 0 < place < gaps.size - 1
+            if meanwhile.size >= _FEWEST_HELD and (inside or np.ptp(meanwhile) > _MOVED * np.ptp(values)):
+                share[HELD + name] = float(gaps[place] / (end - begin))
+                break
     return share
 
 
