@@ -22,6 +22,10 @@ from schemas.numbers import pm, significant, with_unit
 from schemas.recording import Recording
 
 GRAVITY_M_PER_S2 = 9.80665
+_SPAN = (2.0, 98.0)
+"""Percentiles of the force between which all masses lie, but no knock on the cell."""
+_STEP = 0.3
+"""Change of the force over that of the smallest mass, had all been hung together, from which it is moving."""
 _FEWEST_PLATEAU_SAMPLES = 10
 _REPEATABILITY = 5e-4
 """Relative: how well the clamp's frequency repeats when a film is mounted, whose own mass moves with the clamp."""
@@ -177,13 +181,12 @@ def weigh(recording: Recording) -> WeightCalibration:
     masses = recording.metadata.masses_kg
     if not masses:
         raise NotIdentifiableError("masses_kg is missing", where=where, expected="the masses that were hung, in kg")
-    time, force = seconds(recording.channels["force"], recording.start_ns)
+    _, force = seconds(recording.channels["force"], recording.start_ns)
     warnings: list[str] = []
     bad = quality.overloaded(recording.channels["force"], recording.rig.load_cell_range_n)
     if bad.any():
         warnings.append("the load cell was overloaded under some of the masses")
-    smallest = min(m for m in masses if m > 0) * GRAVITY_M_PER_S2
-    levels, errors = _plateaus(time, force, smallest, where)
+    levels, errors = _plateaus(force, min(m for m in masses if m > 0) / sum(masses), where)
     fitted = _best_reading(levels, errors, np.array(masses) * GRAVITY_M_PER_S2, where)
     gain, offset, covariance, freedom, cumulative = fitted
     if cumulative:
@@ -206,8 +209,15 @@ def weigh(recording: Recording) -> WeightCalibration:
     )
 
 
-def _plateaus(time: Float, force: Float, smallest: float, where: str) -> tuple[Float, Float]:
-    """Means of the steady parts and their standard errors."""
+def _plateaus(force: Float, smallest: float, where: str) -> tuple[Float, Float]:
+    """Means of the steady parts and their standard errors, in the unit of the force, whichever that is.
+
+    Parameters
+    ----------
+    force : (N,) samples
+    smallest : the smallest mass over the sum of all
+    where : the recording, for errors
+    """
     n = force.size
     if n < 4 * _FEWEST_PLATEAU_SAMPLES:
         raise NotIdentifiableError(f"{n} samples of force", where=where, expected="plateaus under each mass")
@@ -218,7 +228,8 @@ def _plateaus(time: Float, force: Float, smallest: float, where: str) -> tuple[F
     # Steady: the smooth force changes by little over a few blocks.
     ahead = np.abs(smooth[2 * width :] - smooth[: -2 * width])
     moving = np.zeros(means.size, dtype=bool)
-    moving[width:-width] = ahead > 0.2 * smallest
+    low, high = np.percentile(smooth, _SPAN)
+    moving[width:-width] = ahead > _STEP * smallest * (high - low)
     levels, errors = [], []
     for a, b in runs(~moving):
         # The first third may still swing.

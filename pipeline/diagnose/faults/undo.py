@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 from pipeline.diagnose.features.blocks import add_unit_noise, operator_of, operator_support
 from pipeline.diagnose.features.functionals import Operator
 from pipeline.diagnose.features.kinds import (
+    AMPLIFIER,
     CAPACITANCE,
     CHIRP_HARMONIC,
     CHIRP_LEVEL,
@@ -26,14 +27,17 @@ from pipeline.diagnose.features.kinds import (
     CYCLIC_RESPONSE,
     RELAXATION_FORCE,
     REST_HUM,
+    REST_INPUT,
     SPHS_DETECTION,
     SPHS_RESPONSE,
-    SPHS_VOLTAGE,
+    STEP_CAPACITANCE,
     STEP_FORCE,
-    STEP_VOLTAGE,
+    TAP_RING,
+    WEIGHT_GAIN,
     FeatureBlock,
     RecordingFeatures,
 )
+from pipeline.diagnose.features.observed import AMPLITUDE, FORCE_SWING, SEEN, VOLTAGE
 from schemas.arrays import Complex, Float
 from schemas.protocols import ELECTRICAL
 
@@ -55,7 +59,22 @@ _OF_OUTPUT = frozenset(
 """Kinds of functionals of the force."""
 _TIMES_KNOWN = 0.02
 """Share to which the time of a feature is known by which a drift is followed: a window sees each frequency at another time."""
-_VOLTAGE = frozenset({SPHS_VOLTAGE, STEP_VOLTAGE})
+_OF_OUTPUT_ALONE = frozenset(
+    {
+        CHIRP_HARMONIC,
+        CHIRP_LEVEL,
+        CYCLIC_HARMONIC,
+        CYCLIC_LEVEL,
+        RELAXATION_FORCE,
+        CYCLE_FORCE,
+        SPHS_DETECTION,
+        STEP_FORCE,
+        STEP_CAPACITANCE,
+    }
+)
+"""Kinds that are not divided by the size of the input."""
+_NO_UNIT = frozenset({REST_HUM, TAP_RING})
+"""Kinds that are the same whatever the unit of the channels."""
 
 
 def scale_channels(features: RecordingFeatures, factors: dict[str, float]) -> RecordingFeatures:
@@ -67,32 +86,92 @@ def scale_channels(features: RecordingFeatures, factors: dict[str, float]) -> Re
 
     Notes
     -----
-    A response F/x scales with f/x of the factors, −F/V² with f/v². What is simulated from the recorded input and not
-    divided by it (levels, windows) is brought to the same by the inverse factor, so that the simulation need not change.
-    Covariances scale by what their quantity's own noise does not say already.
+    A response F/x scales with f/x of the factors, −F/V² with f/v². What is not divided by the recorded input (levels, windows,
+    harmonics) scales with the output alone, and what its simulation takes of the input with the input. How strongly the noise of a
+    displacement reaches the force goes with the response; about the resonance of the rig's file, which does not scale, that is near.
     """
+    given = factors.get("displacement", 1.0)
+    voltage = factors.get("voltage", 1.0)
     blocks = tuple(_scale_block(b, features.loading == ELECTRICAL, factors) for b in features.blocks)
-    noise = tuple(replace(n, power=n.power * factors.get(n.quantity, 1.0) ** 2) for n in features.noise)
-    values = dict(features.values)
-    if "rest_force_n" in values:
-        values["rest_force_n"] *= factors.get("force", 1.0)
+    noise = tuple(
+        replace(n, power=n.power * own**2, setting=(n.setting[0], n.setting[1] * abs(own)))
+        for n in features.noise
+        for own in [factors.get(n.quantity, 1.0)]
+    )
+    of_values = {
+        "rest_force_n": factors.get("force", 1.0),
+        FORCE_SWING: abs(factors.get("force", 1.0)),
+        "capacitance_rest_pf": factors.get("capacitance", 1.0),
+        REST_INPUT: given,
+        "largest_strain": abs(given),
+        SEEN + AMPLITUDE: abs(given),
+        "largest_voltage_kv": abs(voltage),
+        SEEN + VOLTAGE: abs(voltage),
+        "exposure_kv2_s": voltage**2,
+        "mean_squared_kv2": voltage**2,
+    }
+    values = {name: value * of_values.get(name, 1.0) for name, value in features.values.items()}
     return replace(features, blocks=blocks, noise=noise, values=values)
 
 
 def _scale_block(block: FeatureBlock, electrical: bool, factors: dict[str, float]) -> FeatureBlock:
-    factor = scale_of(block.kind, electrical, factors)
-    own = np.array([(factor / factors.get(name.partition("/")[0], 1.0)) ** 2 for name in block.components])
-    basis = block.basis * own.reshape(-1, *(1,) * (block.basis.ndim - 1))
-    return replace(block, value=block.value * factor, basis=basis)
+    given, voltage, command = (factors.get(name, 1.0) for name in ("displacement", "voltage", "command"))
+    output = factors.get("capacitance" if block.kind in CAPACITANCE else "force", 1.0)
+    response = scale_of(block.kind, electrical, factors)
+    scale = np.full(block.size, output if block.kind in _OF_OUTPUT_ALONE else response)
+    if "order" in block.support and given < 0:
+        # The phase of a harmonic is against as many times that of the input.
+        scale = np.copysign(scale, np.resize(1 - 2 * (block.support["order"] % 2), block.size)) * np.sign(output)
+    # What is simulated is a response times what the input was, and a drift of the output.
+    by_name = {
+        "piece_mm": given,
+        "profile_mm": abs(given),
+        "input_mm": abs(given),
+        "strain": given,
+        "mean_strain": given,
+        "level_kv": voltage,
+        "wave": voltage,
+        "command": command,
+        "variance": factors.get("force", 1.0) ** 2,
+    }
+    support = {name: values * by_name.get(name, 1.0) for name, values in block.support.items()}
+    for part in ("re", "im"):
+        if f"{part}_data" in support:
+            each = np.repeat(scale / response, np.diff(support[f"{part}_rows"]).astype(np.int64))
+            support[f"{part}_data"] = support[f"{part}_data"] * each
+    for name in ("drift_weight", "shift_weight"):
+        if name in support and block.kind not in AMPLIFIER:
+            support[name] = (support[name].reshape(block.size, -1) * (scale / output)[:, None]).ravel()
+    size = np.abs(scale)
+    basis = []
+    for part, of in zip(block.basis, block.components, strict=True):
+        own = factors.get(_tell_channel(of, block), 1.0)
+        basis.append(part * (size / own) ** 2 if part.ndim == 1 else part * np.outer(scale, scale) / own**2)
+    return replace(
+        block,
+        value=block.value * scale,
+        basis=np.array(basis),
+        amplitude=block.amplitude * abs(given),
+        voltage_kv=block.voltage_kv * abs(voltage),
+        support=support,
+    )
+
+
+def _tell_channel(component: str, block: FeatureBlock) -> str:
+    """The channel whose noise a part of a block's noise is: mains are a part of the output's."""
+    name = component.partition("/")[0]
+    return "force" if name.startswith("mains") else name
 
 
 def scale_of(kind: str, electrical: bool, factors: dict[str, float]) -> float:
     """Factor of the features of a kind."""
-    if kind == REST_HUM:
+    if kind in _NO_UNIT:
         return 1.0
+    if kind == WEIGHT_GAIN:
+        return factors.get("force", 1.0)
     if electrical:
         voltage = factors.get("voltage", 1.0)
-        if kind in _VOLTAGE:
+        if kind in AMPLIFIER:
             return voltage / factors.get("command", 1.0)
         output = factors.get("capacitance" if kind in CAPACITANCE else "force", 1.0)
         return output / voltage**2

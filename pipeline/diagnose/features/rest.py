@@ -131,7 +131,8 @@ def calibration_blocks(recording: Recording) -> tuple[list[FeatureBlock], dict[s
         kind, label = TAP_RING, f"{found.taps} taps"
     else:
         weighed = weigh(recording)
-        value, variance = np.array([weighed.gain]), np.array([weighed.gain_sd**2 + RULES.features.weight_sd**2])
+        value = np.array([weighed.gain])
+        variance = weighed.gain_sd**2 + (RULES.features.weight_sd * value) ** 2
         kind, label = WEIGHT_GAIN, f"{weighed.plateaus} levels"
     return [assembled(kind, label, value, (UNIT_NOISE,), np.diag(variance)[None], is_complex=False)], values, []
 
