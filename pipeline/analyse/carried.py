@@ -12,6 +12,8 @@ import dataclasses
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
+from itertools import groupby
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -135,21 +137,29 @@ KINDS: tuple[type, ...] = (
     Single,
 )
 _CODEC = Codec(KINDS)
+_LONGEST = 4096
+"""Characters of a result in one row."""
 
 
 def carried_table(recording_id: str, results: Sequence[Any]) -> pa.Table:
-    """Rows of `carried` for one recording's results."""
+    """Rows of `carried` for one recording's results, long ones in several parts: a database holds some thousand rows of it at a time."""
     return TABLES["carried"].rows(
         {
             "recording_id": recording_id,
             "kind": type(result).__name__,
             "position": position,
-            "payload": _CODEC.pack(result),
+            "part": part,
+            "payload": packed[first : first + _LONGEST],
         }
         for position, result in enumerate(results)
+        for packed in [_CODEC.pack(result)]
+        for part, first in enumerate(range(0, len(packed), _LONGEST))
     )
 
 
 def results_of(rows: Iterable[Mapping[str, Any]]) -> tuple[Any, ...]:
     """The results that rows of `carried` hold, in their order."""
-    return tuple(_CODEC.unpack(row["payload"]) for row in sorted(rows, key=lambda row: int(row["position"])))
+    # Labs of before results were dealt into parts have one each.
+    ordered = sorted(rows, key=lambda row: (int(row["position"]), int(row.get("part") or 0)))
+    payloads = ("".join(row["payload"] for row in own) for _, own in groupby(ordered, key=itemgetter("position")))
+    return tuple(map(_CODEC.unpack, payloads))

@@ -75,7 +75,7 @@ def fetch_inputs(
             "recordings", ("recording_id", "kind", "metadata", "status", "problem"), "recording_id", published
         )
         about = {row["recording_id"]: row for row in rows if row["status"] in ANALYSED}
-        for row in reader.rows("carried", None, "recording_id", published, where=where):
+        for row in reader.rows("carried", None, "recording_id", published, where=where, ordered=False):
             carried.setdefault(row["recording_id"], []).append(row)
     inputs = []
     for recording in recordings:
@@ -108,7 +108,7 @@ def fetch_results(
     published = [name for name, entry in recordings if entry is None and name in about]
     if published and reader is not None:
         wanted = "kind IN ('" + "', '".join(sorted(kinds)) + "')"
-        for row in reader.rows("carried", None, "recording_id", published, where=wanted):
+        for row in reader.rows("carried", None, "recording_id", published, where=wanted, ordered=False):
             results.setdefault(row["recording_id"], []).append(row)
     for name, entry in recordings:
         if entry is not None and name in about:

@@ -17,6 +17,8 @@ from schemas.tables import TABLES, Column
 
 NIGHT_MEMORY = "64MB"
 """What DuckDB may use to read for a night."""
+_MEMORY_OF_WHOLE_RESULTS = "4GB"
+"""The same for a lab of before results were dealt into parts: DuckDB holds thousands of rows at once, however long they are."""
 _AT_ONCE = 500
 _IN_ALL = "recordings"
 """The table that databases of all releases have."""
@@ -48,10 +50,12 @@ class Reader:
                 self._connection.execute("SET threads = 1")
                 self._connection.execute(f"SET memory_limit = '{self._memory}'")
             found = self._connection.execute("SELECT table_name, column_name FROM duckdb_columns()").fetchall()
+            for table, column in found:
+                self._columns.setdefault(table, set()).add(column)
+            if self._memory is not None and "part" not in self._columns.get("carried", {"part"}):
+                self._connection.execute(f"SET memory_limit = '{_MEMORY_OF_WHOLE_RESULTS}'")
         except duckdb.Error as error:
             raise self._explain(error) from None
-        for table, column in found:
-            self._columns.setdefault(table, set()).add(column)
         if _IN_ALL not in self._columns:
             self._connection.close()
             raise self._explain(f"it has no table {_IN_ALL}")
@@ -74,12 +78,14 @@ class Reader:
         key: str | None = None,
         among: Iterable[str] = (),
         where: str = "true",
+        *,
+        ordered: bool = True,
     ) -> list[dict[str, Any]]:
         """Rows of a table, all or those whose `key` is `among` the given; an absent column is NULL.
 
-        `where` is a condition of ours on the columns.
+        `where` is a condition of ours on the columns. Not `ordered`: in any order, for rows that are longer than DuckDB can sort.
         """
-        return list(self._iterate(name, columns, self._make_query(name, columns, key, among, where)))
+        return list(self._iterate(name, columns, self._make_query(name, columns, key, among, where, ordered=ordered)))
 
     def each(self, name: str, columns: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
         """All rows one by one, for what has many; nothing else may be asked meanwhile."""

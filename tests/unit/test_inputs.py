@@ -6,13 +6,16 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pytest
 
-from pipeline.lab.inputs import _choose_rows, fetch_results
+from pipeline.analyse.carried import carried_table, results_of
+from pipeline.analyse.session_features import SessionFeatures
+from pipeline.lab.inputs import Included, _choose_rows, fetch_inputs, fetch_results
 from pipeline.lab.journal import Freshness, Outcome, entry_path, write_entry
 from pipeline.lab.lab import Lab
-from pipeline.lab.reader import Reader
+from pipeline.lab.reader import NIGHT_MEMORY, Reader
 from pipeline.lab.snapshot import Changes, publish
 from schemas.tables import TABLES
 
@@ -62,3 +65,26 @@ def test_results_of_a_group_from_journal_and_snapshot(tmp_path: Path, published:
     ]  # fmt: skip
     assert [one.recording_id for one in with_rods] == ["a"]
     assert json.loads(with_rods[0].about)["recording"]["rods"] == "5"
+
+
+def test_a_night_reads_more_features_than_it_may_hold_at_once(tmp_path: Path) -> None:
+    """DuckDB holds some thousand rows of a text at once: the second night of a lab of 230 recordings came to no end."""
+    lab, rng = Lab(tmp_path / "lab"), np.random.default_rng(4)
+    lab.create()
+    texts = {f"r{i:02d}": rng.bytes(1_000_000).hex() for i in range(60)}
+    about = [{"recording_id": name, "status": "ok", "source_path": name, "metadata": "{}"} for name in texts]
+    features = {name: SessionFeatures(text) for name, text in texts.items()}
+    insertions = [
+        {"recordings": TABLES["recordings"].rows([row]), "carried": carried_table(name, [features[name]])}
+        for row in about
+        for name in [row["recording_id"]]
+    ]
+    publish(lab, Changes(insertions=insertions))
+    made_from = Freshness("", "", "")
+    asked = [Included(name, None, None, frozenset({"SessionFeatures"}), made_from) for name in texts]
+    with Reader(lab.database, memory=NIGHT_MEMORY) as reader:
+        for one in asked[:2]:
+            (given,) = fetch_inputs([one], reader, only="SessionFeatures")
+            assert results_of(given.carried) == (features[one.recording_id],)
+        found = fetch_inputs(asked, reader, only="SessionFeatures")
+    assert {one.recording_id: results_of(one.carried) for one in found} == {n: (f,) for n, f in features.items()}

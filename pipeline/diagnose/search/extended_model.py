@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import takewhile
 
 import numpy as np
 
@@ -158,7 +159,17 @@ class Extended:
     @property
     def leaves_film(self) -> bool:
         """Whether none of its mechanisms may have to do with film and rig, which are then as in the plain model."""
-        return all((c.id, c.variant) == (DRIVE_LAG.id, MONITORED) for c in self.chosen)
+        return all(map(_is_of_amplifier, self.chosen))
+
+    @property
+    def settled(self) -> int:
+        """Entries, from the first on, whose slopes a fit that begins near an optimum need not know anew at every step: film and rig, which
+        hardly bend, and a lag of the amplifier before other mechanisms. That is read off command and measured voltage alone, whatever the
+        others do.
+        """
+        first = sum(1 for _ in takewhile(_is_of_amplifier, self.chosen))
+        of_lag = sum(c.owner < first for c in self.coordinates) if first < len(self.chosen) else 0
+        return self.model.size + of_lag
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -253,7 +264,7 @@ class Extended:
             jacobian = self.lend(near)
         begin = start.solution if isinstance(start, ExtendedFit) else start
         found = minimise(
-            self.residuals, begin, *self.limits, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough
+            self.residuals, begin, *self.limits, most=most, jacobian=jacobian, moving=self.settled, thorough=thorough
         )
         return ExtendedFit(self, found)
 
@@ -283,15 +294,21 @@ class Extended:
         return minimise(self.residuals, start, low, high, most=most, jacobian=lent, moving=own, thorough=False)
 
     def lend(self, near: ExtendedFit) -> Float:
-        """(M, P) Jacobian of another fit in what both share, 0 elsewhere."""
+        """(M, P) Jacobian of another fit in what both share, film and rig and the mechanisms that both begin with, 0 elsewhere."""
         lent = near.solution.jacobian
         if near.of.weight is not self.weight:
             lent = lent.copy()
             lent[: self.session.size] *= (self.weight / near.of.weight)[:, None]
         if near.of.chosen == self.chosen:
             return lent
-        shared, rows = self.model.size, self.session.size + int(np.isfinite(self.model.prior_sd).sum())
-        jacobian = np.zeros((rows + int(np.isfinite(self._priors[1]).sum()), self.limits[0].size))
+        alike = sum(
+            1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(self.chosen, near.of.chosen, strict=False))
+        )
+        own = sum(c.owner < alike for c in self.coordinates)
+        shared = self.model.size + own
+        rows = self.session.size + int(np.isfinite(self.model.prior_sd).sum())
+        rows += int(np.isfinite(self._priors[1][:own]).sum())
+        jacobian = np.zeros((rows + int(np.isfinite(self._priors[1][own:]).sum()), self.limits[0].size))
         jacobian[:rows, :shared] = lent[:rows, :shared]
         return jacobian
 
@@ -303,6 +320,11 @@ class Extended:
         """The same model over another session."""
         quiet = self.quiet if session is self.session else None
         return replace(self, session=session, simulation=simulation, weight=weight, quiet=quiet)
+
+
+def _is_of_amplifier(chosen: Chosen) -> bool:
+    """Whether a mechanism is the lag of the amplifier, as far as the monitor shows it."""
+    return (chosen.id, chosen.variant) == (DRIVE_LAG.id, MONITORED)
 
 
 @dataclass(frozen=True)
