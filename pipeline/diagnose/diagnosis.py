@@ -45,7 +45,13 @@ from pipeline.diagnose.search.posterior import (
     weigh_fit,
 )
 from pipeline.diagnose.search.region_optima import settle_regions
-from pipeline.diagnose.search.screen import Secants, compute_secants, compute_signatures, find_best_scores
+from pipeline.diagnose.search.screen import (
+    Secants,
+    compute_secants,
+    compute_signatures,
+    find_best_scores,
+    renew_secants,
+)
 from pipeline.diagnose.search.several_causes import add_causes, try_causes_of_form
 from pipeline.diagnose.search.tempering import temper_weights
 from schemas.arrays import Float
@@ -150,7 +156,8 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
     # that is plain to see.
     lag = find_amplifier_lag(plain, tempered_signatures)
     given = plain if lag is None else temper_fit(lag)
-    given_signatures = compute_signatures(changes, given)
+    beside = changes if lag is None else renew_secants(changes, given)
+    given_signatures = compute_signatures(beside, given)
     scores = find_best_scores(given_signatures)
     fitted: Sequence[ExtendedFit] = ()
     if lag is None or (scores and given_signatures.reaches(scores[0].statistic, RULES.cause.level)):
@@ -175,7 +182,7 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
     from_consensus = search_from_consensus(given, given_agreed)
     of_given = [] if lag is None else [given_agreed]
     hypotheses = settle_hypotheses([*of_given, *map(weigh_fit, fitted), *from_consensus, *kept])
-    hypotheses += add_causes(hypotheses, changes)
+    hypotheses += add_causes(hypotheses, beside)
     noise = max(
         (settle_hypothesis(weigh_fit(f, noise_alone=True)) for f in (noise_fit, agreed.model)),
         key=lambda h: h.log_evidence,
@@ -185,15 +192,15 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
     regions: list[Hypothesis] = []
     if lag is None:
         regions = settle_regions(weigh_regions(agreed, unnamed), [noise, agreed, *hypotheses], plain)
-        hypotheses += allow_form_errors(try_causes_of_form(agreed, regions, hypotheses, changes), unnamed)
+        hypotheses += allow_form_errors(try_causes_of_form(agreed, regions, hypotheses, beside), unnamed)
         hypotheses, regions = name_regions(hypotheses, regions, agreed.model)
     posterior = Posterior.of([noise, agreed, *hypotheses, *regions])
     for base in posterior.find_sure():
         # What has no name may be beside a cause that is sure: every amplifier lags a little.
-        beside = settle_regions(weigh_regions(base, unnamed), hypotheses, refit_under(plain, base))
-        hypotheses += allow_form_errors(try_causes_of_form(base, beside, hypotheses, changes), unnamed)
-        hypotheses, beside = name_regions(hypotheses, beside, base.model)
-        regions += beside
+        further = settle_regions(weigh_regions(base, unnamed), hypotheses, refit_under(plain, base))
+        hypotheses += allow_form_errors(try_causes_of_form(base, further, hypotheses, beside), unnamed)
+        hypotheses, further = name_regions(hypotheses, further, base.model)
+        regions += further
     posterior = Posterior.of([noise, agreed, *hypotheses, *regions])
     if noise in posterior.find_set(RULES.verdict.credible):
         # Where nothing is more probable than its noise, that is as loud as the session makes it, and known no better.

@@ -9,13 +9,14 @@ distribution of the best of all of them, looked at everywhere, follows from the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.special import gammaincinv, ndtr
 
+from pipeline.diagnose.features.kinds import AMPLIFIER
 from pipeline.diagnose.mechanisms import MECHANISMS, Mechanism, Parameter
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit, compose_chosen, orthonormalise
@@ -135,7 +136,26 @@ class Secants:
     weak: Bool
 
 
-def compute_secants(fit: ExtendedFit) -> Secants:
+def renew_secants(found: Secants, fit: ExtendedFit) -> Secants:
+    """Changes beside the lag of the amplifier: a gain behind a lag is not the gain before it. What the monitor's voltage does not show is
+    as it was.
+
+    Parameters
+    ----------
+    found : changes about the plain model
+    fit : that model with the lag
+    """
+    kept = np.array([not c.mechanism.shows & AMPLIFIER for c in found.chosen], dtype=bool)
+    anew = compute_secants(fit, AMPLIFIER)
+    return Secants(
+        (*itertools.compress(found.chosen, kept), *anew.chosen),
+        (*itertools.compress(found.values, kept), *anew.values),
+        np.concatenate([found.change[:, kept], anew.change], axis=1),
+        np.concatenate([found.weak[kept], anew.weak]),
+    )
+
+
+def compute_secants(fit: ExtendedFit, kinds: Set[str] | None = None) -> Secants:
     """Changes about a fitted model by every visible mechanism that is not in it: the one costly step of a screen.
 
     Weak effects of either sign have central differences: what a small step leaves of the curvature is more than some
@@ -144,6 +164,7 @@ def compute_secants(fit: ExtendedFit) -> Secants:
     Parameters
     ----------
     fit : of the plain model, or of one with mechanisms
+    kinds : of features of which one at least has to show a mechanism; None: any
     """
     of = fit.of
     base = of.predict(fit.x)
@@ -156,6 +177,8 @@ def compute_secants(fit: ExtendedFit) -> Secants:
     rows, chosen, values, weak = [], [], [], []
     opposite: dict[tuple[Chosen, tuple[float, ...]], Float] = {}
     for c, own, part in make_grid(of, {c.id for c in of.chosen}):
+        if kinds is not None and not c.mechanism.shows & kinds:
+            continue
         row = opposite.get((c, tuple(own.values())))
         if row is None:
             row = change(c, own, part)
