@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,19 +11,29 @@ import pytest
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.mechanisms.drive import FURTHER
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.amplifier import find_amplifier_lag
-from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
+from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit
+from pipeline.diagnose.search.fit_mechanisms import temper_fit
 from pipeline.diagnose.search.plain_fit import fit_plain
-from pipeline.diagnose.search.screen import Signatures, compute_secants, compute_signatures
+from pipeline.diagnose.search.screen import (
+    Signatures,
+    compute_secants,
+    compute_signatures,
+    find_best_scores,
+    renew_secants,
+)
 from pipeline.diagnose.search.tempering import temper_weights
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.physics.least_squares import central
 from tests.helpers.truth_rig import KINDS, Effect, compact_session
 
 SEED = 990_000_001
 
 
-def _screen(hidden: Sequence[str]) -> tuple[ExtendedFit, Signatures]:
+@cache
+def _screen(hidden: tuple[str, ...]) -> tuple[ExtendedFit, Signatures]:
     """The plain model of a session with hidden effects, under weights that allow for causes, and the signatures about it."""
     own = compact_session(SEED, [(id, KINDS[id].typical) for id in hidden])
     session = make_session([reduce(r) for r in own.recordings])
@@ -51,6 +62,43 @@ def test_the_lag_of_an_amplifier_is_read_whatever_is_beside_it(beside: tuple[str
 @pytest.mark.parametrize("id", ["leakage", "drive_offset", "amplitude_softening"])
 def test_what_is_no_lag_is_not_taken_for_one(id: str) -> None:
     assert find_amplifier_lag(*_screen((id,))) is None
+
+
+@pytest.mark.slow
+def test_a_gain_behind_a_lag_is_no_gain_before_it() -> None:
+    """Of every session with a lag the screen promised a gain of the voltage that no fit could keep, and all mechanisms were fitted."""
+    plain, signatures = _screen(("drive_lag",))
+    lag = find_amplifier_lag(plain, signatures)
+    assert lag is not None
+    given, changes = temper_fit(lag), compute_secants(plain)
+    before = compute_signatures(changes, given)
+    renewed = renew_secants(changes, given)
+    anew = compute_signatures(renewed, given)
+    gain = Chosen("gain_error", "voltage")
+    assert any(s.chosen == gain and before.reaches(s.statistic, RULES.cause.level) for s in find_best_scores(before))
+    assert not any(s.chosen == gain and anew.reaches(s.statistic, RULES.cause.level) for s in find_best_scores(anew))
+    held = {c.id for c in renewed.chosen}
+    assert held == {c.id for c in changes.chosen} - {"drive_lag"}
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_a_fit_beside_a_lag_borrows_its_slopes_and_renews_its_own() -> None:
+    plain, signatures = _screen(("drive_lag",))
+    lag = find_amplifier_lag(plain, signatures)
+    assert lag is not None
+    of = replace(lag.of, chosen=(*lag.of.chosen, Chosen("gain_error", "force")))
+    assert of.settled == lag.x.size
+    assert lag.of.settled == plain.x.size
+    lent = of.lend(lag)
+    x = of.make_entries(lag.theta, (*lag.values, {"gain": 1e-6}))
+    (residual,) = of.residuals(x[None])
+    assert lent.shape == (residual.size, x.size)
+    exact = central(of.residuals, x, *of.limits)
+    size = np.sqrt(np.sum(exact[:, : lag.x.size] ** 2, axis=0))
+    off = np.sqrt(np.sum((lent - exact)[:, : lag.x.size] ** 2, axis=0))
+    assert np.all(off < 0.01 * np.maximum(size, 1e-3 * size.max()))
+    assert not lent[:, lag.x.size :].any()
 
 
 @pytest.mark.long
