@@ -290,6 +290,10 @@ def _cycle(analysis: Analysis, recording: Recording) -> None:
     if found is not None:
         analysis.carry(found.fits[0])
         analysis.add(cycle_tables(found))
+    _loops(analysis, recording)
+
+
+def _loops(analysis: Analysis, recording: Recording) -> None:
     loops = analysis.attempt("loops", cycle_loops, recording)
     if loops is not None:
         analysis.add({"cycle_loops": loops})
@@ -341,6 +345,8 @@ def _responses(analysis: Analysis, recording: Recording) -> None:
             analysis.add({"relaxation_curves": relaxation_table(found.relaxation)})
         if recording.metadata.protocol == "cyclic" and "capacitance" in recording.channels:
             _migration(analysis, recording, float(found.responses[0].frequency_hz[0]))
+    if (recording.metadata.protocol, recording.metadata.loading) == ("cyclic", MECHANICAL):
+        _loops(analysis, recording)
 
 
 def _migration(analysis: Analysis, recording: Recording, frequency_hz: float) -> None:

@@ -180,7 +180,8 @@ TABLES: tuple[Table, ...] = (
     ),
     Table(
         "cycle_loops",
-        "what each load-unload cycle takes: work, loss, largest forces and secant stiffness, from one lowest displacement to the next",
+        "what each load-unload cycle, or period of a `cyclic` test, takes: work, loss, largest forces and secant stiffness, from one lowest"
+        " displacement to the next; with all that the force as recorded holds, such as the damping of a load cell",
         (
             RECORDING_ID,
             SPECIMEN_ID,

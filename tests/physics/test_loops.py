@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.analyse.cycle import cycle_loops
+from pipeline.analyse.recording import analyse_recording
 from pipeline.transform.loops import find_loops, measure_modulus
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
@@ -149,3 +150,21 @@ def test_a_displacement_that_stands_still_beside_a_stretch_takes_nothing_from_it
     assert told["loss_kj_per_m3"] == pytest.approx(alone["loss_kj_per_m3"])
     assert told["loss_kj_per_m3"] > 0
     assert told["secant_n_per_mm"] is None
+
+
+def test_sinusoids_take_what_the_loss_modulus_says() -> None:
+    """A sinusoid that a testing machine records as cycles had a complex stiffness, and no loss of a cycle."""
+    t = np.arange(0, 42, 0.01)
+    phase = 2 * np.pi * 0.5 * (t - 1)
+    on = (t >= 1) & (t <= 41)
+    x = np.where(on, 2.0 - 2.0 * np.cos(phase), 0.0)
+    force = np.where(on, 0.05 * x + 2.0 * 0.012 * np.sin(phase), 0.0)
+    about = RecordingMetadata(
+        recording_id="a1", started_at=datetime(2026, 3, 2, 9, tzinfo=UTC), specimen_id="a", protocol="cyclic", loading="mechanical",
+        frequency_hz=0.5,
+    )  # fmt: skip
+    (table,) = analyse_recording(recording(about, t, displacement=x, force=force)).tables["cycle_loops"]
+    loops = table.to_pylist()
+    assert len(loops) == 20
+    middle = [row["steady_loss_mj"] for row in loops[2:-2]]
+    assert middle == pytest.approx([np.pi * 0.012 * 2.0**2] * len(middle), rel=2e-3)

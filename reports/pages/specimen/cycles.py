@@ -31,6 +31,8 @@ WHERE specimen_id = $specimen
 ORDER BY recording_id, cycle"""
 _LOOPS = 10
 """Cycles of a recording that are told; of more, the first and the last ones."""
+_IN_FULL = 3
+"""Recordings of which so many cycles are told; of more, the first and the last one of each."""
 _LONG = 0.9
 """Correlation of neighbouring residuals from which what is left is called no noise."""
 _SHOWN = 4
@@ -65,8 +67,10 @@ def loops_of_specimen(draft: Draft) -> Section | None:
     if not found:
         return None
     rows = []
-    for own in (tuple(group) for _, group in itertools.groupby(found, key=lambda r: r["recording_id"])):
-        kept = own if len(own) <= _LOOPS else (*own[: _LOOPS // 2], *own[-_LOOPS // 2 :])
+    groups = [tuple(group) for _, group in itertools.groupby(found, key=lambda r: r["recording_id"])]
+    for own in groups:
+        shown = _LOOPS if len(groups) <= _IN_FULL else 2
+        kept = own if len(own) <= shown else (*own[: shown // 2], *own[-shown // 2 :])
         rows += [Row(_loop_cells(draft, r)) for r in kept]
     heads = (
         Head("Recording"), Head("Cycle", "n"), Head("From", "n"), Head("to", "n"), Head("Largest", "n"), Head("Loss, mJ", "n"),
@@ -108,14 +112,28 @@ def _loop_cells(draft: Draft, r: Record) -> tuple[Piece, ...]:
 
 
 def _loops_heading(found: Sequence[Record]) -> str:
-    """The loss of the last cycles that are steady, else of the first one."""
-    for key, unit in (("loss_mj", "mJ"), ("loss_kj_per_m3", "kJ/m³")):
-        steady = [float(r[f"steady_{key}"]) for r in found if r[f"steady_{key}"] is not None]
+    """The loss of the last cycles that are steady, else of the first one, of the recording that goes farthest."""
+    unit = "mm" if any(r["displacement_high_mm"] is not None for r in found) else "stretch"
+    low, high = ("displacement_low_mm", "displacement_high_mm") if unit == "mm" else ("stretch_low", "stretch_high")
+    told = [r for r in found if r[high] is not None]
+    if not told:
+        return "What the cycles take"
+    farthest = max(told, key=lambda r: float(r[high] - r[low]))["recording_id"]
+    own = [r for r in told if r["recording_id"] == farthest]
+    several = len({r["recording_id"] for r in told}) > 1
+    about = ""
+    if several:
+        width = significant(float(np.median([r[high] - r[low] for r in own])), 3)
+        about = f" over {with_unit(width, 'mm')}" if unit == "mm" else f" over {width} of stretch"
+    for key, energy in (("loss_mj", "mJ"), ("loss_kj_per_m3", "kJ/m³")):
+        steady = [float(r[f"steady_{key}"]) for r in own if r[f"steady_{key}"] is not None]
         if len(steady) > 1:
-            return f"A cycle takes {with_unit(significant(float(np.median(steady)), 3), unit)} once it is steady"
-        whole = [float(r[key]) for r in found if r[key] is not None]
+            return (
+                f"A cycle{about} takes {with_unit(significant(float(np.median(steady)), 3), energy)} once it is steady"
+            )
+        whole = [float(r[key]) for r in own if r[key] is not None]
         if whole:
-            return f"The first cycle takes {with_unit(significant(whole[0], 3), unit)}"
+            return f"The first cycle{about} takes {with_unit(significant(whole[0], 3), energy)}"
     return "What the cycles take"
 
 
