@@ -130,10 +130,7 @@ def answered(draft: Draft, answers: Mapping[str, Any]) -> Draft:
     content: dict[str, Any] = copy.deepcopy(dict(draft.content))
     remarks = dict(draft.remarks)
     for key, value in answers.items():
-        *tables, last = key.split(".")
-        place = content
-        for table in tables:
-            place = place.setdefault(table, {})
+        place, last = _find_place(content, key)
         place[last] = value
         remarks.pop(key, None)
     if "recording.protocol" in answers and name_parts(content):
@@ -146,6 +143,15 @@ def answered(draft: Draft, answers: Mapping[str, Any]) -> Draft:
             column["offset"] = unstretched(str(column["unit"]))
     questions = tuple(q for q in draft.questions if q.key not in answers)
     return replace(draft, content=content, remarks=remarks, questions=questions)
+
+
+def _find_place(content: dict[str, Any], key: str) -> tuple[dict[str, Any], str]:
+    """The table of a mapping that a key with dots belongs in, made where it is not there, and the key's last word."""
+    *tables, last = key.split(".")
+    place = content
+    for table in tables:
+        place = place.setdefault(table, {})
+    return place, last
 
 
 def _join_parts(content: dict[str, Any]) -> None:
@@ -184,12 +190,16 @@ def _is_among(value: Any, others: list[Any]) -> bool:
 def as_suggested(draft: Draft) -> tuple[Draft, tuple[Question, ...]]:
     """The draft with the suggestion taken for each question that has one, and the questions that were answered so."""
     taken = tuple(q for q in draft.questions if q.suggestion is not None)
+    content: dict[str, Any] = copy.deepcopy(dict(draft.content))
     remarks = dict(draft.remarks)
     for q in taken:
+        # What is not taken unasked stands nowhere yet.
+        place, last = _find_place(content, q.key)
+        place.setdefault(last, q.suggestion)
         said = f"assumed: {q.text}"
         remarks[q.key] = f"{said}; {remarks[q.key]}" if q.key in remarks else said
     left = tuple(q for q in draft.questions if q.suggestion is None)
-    return replace(draft, remarks=remarks, questions=left), taken
+    return replace(draft, content=content, remarks=remarks, questions=left), taken
 
 
 def read_value(text: str) -> Any:

@@ -73,6 +73,8 @@ from schemas.protocols import PROTOCOLS
 from schemas.quantities import QUANTITIES
 from schemas.units import conversion
 
+_SIZES = ("film_length_mm", "film_width_mm", "film_thickness_mm")
+"""Sizes of a film without which no modulus becomes a stiffness."""
 _ANY_SCALE = 2.0
 """Stands for the scale of a sensor that is not known yet: the shape of a trace does not depend on it."""
 _LONGEST_NAME = 60
@@ -276,12 +278,20 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
     _take(opened.facts, about, remarks, ("operator", "material"))
     if kind != LIFETIMES:
         _take(opened.facts, about, remarks, ("specimen_id",))
-        sizes = ("film_length_mm", "film_width_mm", "film_thickness_mm")
-        if all(size in opened.facts and not opened.facts[size].lacks_unit for size in sizes):
-            _take(opened.facts, about, remarks, sizes)
+        told = [size for size in _SIZES if size in opened.facts]
+        if len(told) == len(_SIZES):
+            _take(opened.facts, about, remarks, told)
+            questions += _ask_units_of_sizes(opened)
         if "specimen_id" not in about:
             about["specimen_id"] = "{stem}"
             questions.append(Question("recording.specimen_id", "name of the specimen", find_stem(opened.path)))
+        if told and len(told) < len(_SIZES):
+            words = " and ".join(opened.facts[size].words for size in told)
+            lacking = " and ".join(size for size in _SIZES if size not in told)
+            kept = remarks.get("recording.specimen_id", "")
+            remarks["recording.specimen_id"] = "; ".join(
+                filter(None, [kept, f"a stiffness in N/mm needs {lacking} beside what the file says ({words})"])
+            )
     else:
         about["campaign"] = "{stem}"
         remarks["recording.campaign"] = "the page of a campaign shows its survival curves"
@@ -392,11 +402,7 @@ def _recording(opened: Opened) -> Draft:
     facts = ("specimen_id", "operator", "material", "film_length_mm", "film_width_mm", "film_thickness_mm")
     _take(opened.facts, about, remarks, facts if specimens is None else facts[1:])
     if any(c.meaning == "displacement" and c.unit == "mm" for c in opened.columns):
-        questions += [
-            Question(f"recording.{fact.key}", f"size in mm (the file says {fact.words}, without a unit)", fact.value)
-            for fact in opened.facts.values()
-            if fact.lacks_unit
-        ]
+        questions += _ask_units_of_sizes(opened)
     named = all("specimen_id" in part.get("recording", {}) for part in parts) if parts else "specimen_id" in about
     if not named:
         questions.append(Question("recording.specimen_id", "name of the specimen", find_stem(opened.path)))
@@ -419,6 +425,15 @@ def _channels(opened: Opened, asked: Sequence[Question]) -> tuple[dict[str, Any]
         if c.meaning not in (None, TIME)
     }
     return columns, questions
+
+
+def _ask_units_of_sizes(opened: Opened) -> list[Question]:
+    """A question for each size that the file tells by a number alone, as if it were in mm."""
+    return [
+        Question(f"recording.{fact.key}", f"size in mm (the file says {fact.words}, without a unit)", fact.value)
+        for fact in opened.facts.values()
+        if fact.lacks_unit
+    ]
 
 
 def _stands_still(opened: Opened, time_of: GuessedColumn) -> bool:

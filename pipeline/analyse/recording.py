@@ -343,10 +343,10 @@ def _responses(analysis: Analysis, recording: Recording) -> None:
         if found.relaxation is not None:
             analysis.carry(found.relaxation)
             analysis.add({"relaxation_curves": relaxation_table(found.relaxation)})
+        if (recording.metadata.protocol, recording.metadata.loading) == ("cyclic", MECHANICAL):
+            _loops(analysis, recording)
         if recording.metadata.protocol == "cyclic" and "capacitance" in recording.channels:
             _migration(analysis, recording, float(found.responses[0].frequency_hz[0]))
-    if (recording.metadata.protocol, recording.metadata.loading) == ("cyclic", MECHANICAL):
-        _loops(analysis, recording)
 
 
 def _migration(analysis: Analysis, recording: Recording, frequency_hz: float) -> None:

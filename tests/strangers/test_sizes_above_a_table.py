@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ingest.draft import make_draft
+from ingest.answers import as_suggested
+from ingest.draft import Draft, make_draft
 from ingest.harvest import STARTED_AT, harvest_columns, harvest_lines
 
 
@@ -78,3 +79,39 @@ def test_sizes_without_a_unit_are_asked_beside_a_displacement_in_mm(tmp_path: Pa
     assert asked == ({"recording.film_width_mm": 40.0} if unit == "mm" else {})
     assert draft.content["recording"]["film_thickness_mm"] == 0.52
     assert "film_width_mm" not in draft.content["recording"]
+
+
+RESPONSE = "Frequency (Hz);Storage modulus (kPa);Loss modulus (kPa)\n" + "".join(
+    f"{f};{200 * f**0.2:.1f};{40 * f**0.2:.1f}\n" for f in (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+)
+
+
+def draft_of(folder: Path, *above: str) -> Draft:
+    path = folder / "dma.csv"
+    path.write_text("".join(f"{line}\n" for line in ("Sample: VHB-7", *above)) + RESPONSE, encoding="utf-8")
+    return make_draft(path)
+
+
+def test_sizes_above_a_table_of_responses_are_taken_and_those_without_a_unit_asked(tmp_path: Path) -> None:
+    """They were dropped without a word where one of them had no unit."""
+    draft = draft_of(tmp_path, "Length: 20.5", "Width (mm): 6.1", "Thickness: 0.5")
+    assert draft.content["recording"]["film_width_mm"] == 6.1
+    asked = {q.key: q.suggestion for q in draft.questions}
+    assert asked == {"recording.film_length_mm": 20.5, "recording.film_thickness_mm": 0.5}
+
+
+def test_what_is_assumed_of_a_size_is_what_is_written(tmp_path: Path) -> None:
+    """`add --yes` said that a size was assumed, and wrote none."""
+    draft, taken = as_suggested(draft_of(tmp_path, "Length: 20.5", "Width: 6.1", "Thickness: 0.5"))
+    assert {q.key.removeprefix("recording."): q.suggestion for q in taken} == {
+        name: draft.content["recording"][name] for name in ("film_length_mm", "film_width_mm", "film_thickness_mm")
+    }
+
+
+def test_two_sizes_of_three_make_no_stiffness_and_the_draft_says_so(tmp_path: Path) -> None:
+    draft = draft_of(tmp_path, "Length: 20.5", "Width (mm): 6.1")
+    assert not {"film_length_mm", "film_width_mm"} & draft.content["recording"].keys()
+    assert not draft.questions
+    remark = draft.remarks["recording.specimen_id"]
+    for word in ("film_thickness_mm", "Length: 20.5", "Width (mm): 6.1"):
+        assert word in remark
