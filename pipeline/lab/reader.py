@@ -18,7 +18,8 @@ from schemas.tables import TABLES, Column
 NIGHT_MEMORY = "64MB"
 """What DuckDB may use to read for a night."""
 _MEMORY_OF_WHOLE_RESULTS = "4GB"
-"""The same for a lab of before results were dealt into parts: DuckDB holds thousands of rows at once, however long they are."""
+"""The same for a lab of before results were dealt into parts: DuckDB holds thousands of rows at once, however
+long they are."""
 _AT_ONCE = 500
 _IN_ALL = "recordings"
 """The table that databases of all releases have."""
@@ -83,7 +84,8 @@ class Reader:
     ) -> list[dict[str, Any]]:
         """Rows of a table, all or those whose `key` is `among` the given; an absent column is NULL.
 
-        `where` is a condition of ours on the columns. Not `ordered`: in any order, for rows that are longer than DuckDB can sort.
+        `where` is a condition of ours on the columns. Not `ordered`: in any order, for rows that are longer than
+        DuckDB can sort.
         """
         return list(self._iterate(name, columns, self._make_query(name, columns, key, among, where, ordered=ordered)))
 
