@@ -29,8 +29,8 @@ from tests.helpers.contradictions import find_contradictions
 FOLDER = Path(__file__).resolve().parent.parent / "foreign"
 CLEAN, SINGLE, UNLISTED, PAIR, FAULT = "clean", "single", "unlisted", "pair", "fault"
 KINDS = (CLEAN, SINGLE, UNLISTED, PAIR, FAULT)
-_SHOWN = 8
-"""Hypotheses of a posterior that are kept."""
+_SHOWN, _RANKED = 8, 24
+"""Hypotheses of a posterior that are kept, with their probabilities and with their odds."""
 _TOLD = ("listed", "fault", "unlisted", "stage", "depends_on", "severity", "form_distance", "strength", "strength_alone",
          "noise", "session")  # fmt: skip
 
@@ -51,7 +51,7 @@ class Answer:
     `faults`: id, recordings, and the corrections proposed (key, value now, value proposed, probability) of the first of them.
     `failed`: why it could not be diagnosed; `refused`: recordings of which no features can be made, with the reason. `contradictions`:
     what the tables of the diagnosis say against each other; None where that was not asked. `study`: seed of the study in which it was
-    asked, 0 for those before seeds were kept. `log_odds`: of every hypothesis against the most probable one; None where they were not kept.
+    asked, 0 for those before seeds were kept. `log_odds`: of the likeliest hypotheses against the first of them; None where they were not kept.
     """
 
     rig: str
@@ -139,7 +139,8 @@ def answer_session(asked: Asked, folder: Path = FOLDER) -> Answer:
 def _tell(
     asked: Asked, truth: Mapping[str, Any], found: Diagnosis, recordings: int, seconds: float, refused: tuple[str, ...]
 ) -> Answer:
-    likely = sorted(found.probabilities.items(), key=lambda item: -item[1])[:_SHOWN]
+    ranked = sorted(found.probabilities.items(), key=lambda item: -item[1])
+    likely = ranked[:_SHOWN]
     return Answer(
         asked.rig, asked.seed, asked.kind, truth,
         verdict=found.verdict,
@@ -166,5 +167,5 @@ def _tell(
         recordings=recordings,
         seconds=round(seconds, 1),
         refused=refused,
-        log_odds={name: round(math.log(p / likely[0][1]), 2) for name, p in found.probabilities.items() if p > 0},
+        log_odds={name: round(math.log(p / likely[0][1]), 2) for name, p in ranked[:_RANKED] if p > 0},
     )  # fmt: skip

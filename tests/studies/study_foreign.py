@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.diagnose.faults.fault import DEAD_CHANNEL
+from pipeline.diagnose.mechanisms import MECHANISMS
 from reports.pages.campaign.places import clopper_pearson
 from tests.helpers.foreign_rigs import (
     CLEAN,
@@ -62,6 +63,8 @@ _CLOCKS = ("clock", "time")
 """Words of a rig for what runs apart: whichever channel is called the slow one, the correction is the same but for its sign."""
 _BINS = (0.0, 0.5, 0.8, 0.95, 1.0)
 """Limits of the bins of a reliability diagram."""
+_POSSIBLE = 0.05
+"""Probability from which a cause may be there."""
 
 
 def draw_sessions(seed: int, rigs: Sequence[str], kinds: Sequence[str], sessions: int) -> list[Asked]:
@@ -260,18 +263,65 @@ def make_rows(found: Sequence[Answer]) -> list[Row]:
     ]  # fmt: skip
 
 
-def measure_calibration(found: Iterable[Answer]) -> Iterator[tuple[float, float, int, int]]:
-    """Mean probability of the most probable hypothesis, share in which it is right, by bin, with hits and number."""
+@dataclass(frozen=True)
+class Bin:
+    """Probabilities of a reliability diagram that are near to each other: their mean, and how many of how many came true."""
+
+    probability: float
+    hits: int
+    size: int
+
+    @property
+    def share(self) -> float:
+        """Share that came true."""
+        return self.hits / self.size
+
+
+def sort_into_bins(pairs: Sequence[tuple[float, bool]]) -> list[Bin]:
+    """The bins that hold anything, of probabilities and whether what they are of is so."""
+    found = []
+    for low, high in pairwise(_BINS):
+        own = [(p, hit) for p, hit in pairs if low < p <= high]
+        if own:
+            found.append(Bin(float(np.mean([p for p, _ in own])), sum(hit for _, hit in own), len(own)))
+    return found
+
+
+def measure_calibration(found: Iterable[Answer]) -> list[Bin]:
+    """How often the most probable hypothesis is all that is hidden, where one or two causes are."""
     pairs = []
     for a in found:
         if a.kind in (SINGLE, PAIR) and not a.failed and a.probabilities and a.verdict != "none":
             name, p = max(a.probabilities.items(), key=lambda item: item[1])
             pairs.append((min(p, 1.0), set(name.split("+")) == set(a.truth["listed"])))
-    for low, high in pairwise(_BINS):
-        own = [(p, hit) for p, hit in pairs if low < p <= high]
-        if own:
-            hits = sum(hit for _, hit in own)
-            yield float(np.mean([p for p, _ in own])), hits / len(own), hits, len(own)
+    return sort_into_bins(pairs)
+
+
+def measure_calibration_of_causes(found: Iterable[Answer]) -> list[Bin]:
+    """How often a listed cause is hidden that is there with some probability, alone or beside anything else, where one or two causes are
+    hidden, or an effect that is in no list."""
+    pairs = []
+    for a in found:
+        if a.kind in (SINGLE, PAIR, UNLISTED) and not a.failed and a.verdict != "none":
+            shares: Counter[str] = Counter()
+            for name, p in (a.probabilities or {}).items():
+                shares.update({id: p for id in name.split("+") if id in MECHANISMS})
+            pairs += [(min(p, 1.0), id in a.truth["listed"]) for id, p in shares.items() if p >= _POSSIBLE]
+    return sort_into_bins(pairs)
+
+
+def _draw_reliability(what: str, bins: Sequence[Bin]) -> Iterator[str]:
+    """Expected calibration error, and the bins as a table."""
+    if not bins:
+        return
+    error = sum(b.size * abs(b.probability - b.share) for b in bins) / sum(b.size for b in bins)
+    yield ""
+    yield f"{what}: expected calibration error {error:.2f} (wanted ≤ 0.05)."
+    yield ""
+    yield "| mean probability | right | of |"
+    yield "| --- | --- | --- |"
+    for b in bins:
+        yield f"| {b.probability:.2f} | {b.share:.2f} | {b.size} |"
 
 
 def report(found: Sequence[Answer]) -> Iterator[str]:
@@ -282,17 +332,11 @@ def report(found: Sequence[Answer]) -> Iterator[str]:
     yield "| --- |" + " --- |" * (len(columns) + 1)
     for rows in zip(*columns, strict=True):
         yield f"| {rows[0].name} | " + " | ".join(state_rate(r.hits) for r in rows) + f" | {rows[0].wanted} |"
-    bins = list(measure_calibration(found))
-    if bins:
-        total = sum(n for *_, n in bins)
-        error = sum(n * abs(p - share) for p, share, _, n in bins) / total
-        yield ""
-        yield f"Most probable hypothesis, one or two causes hidden: expected calibration error {error:.2f} (wanted ≤ 0.05)."
-        yield ""
-        yield "| mean probability | right | sessions |"
-        yield "| --- | --- | --- |"
-        for p, share, _, n in bins:
-            yield f"| {p:.2f} | {share:.2f} | {n} |"
+    yield from _draw_reliability("Most probable hypothesis, one or two causes hidden", measure_calibration(found))
+    each = measure_calibration_of_causes(found)
+    yield from _draw_reliability(
+        "Each listed cause that may be there, alone or beside others, or an effect in no list hidden", each
+    )
     seconds = sorted(a.seconds for a in found if not a.failed)
     if seconds:
         yield ""
