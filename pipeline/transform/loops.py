@@ -82,8 +82,7 @@ def find_loops(time: Float, x: Float, y: Float) -> list[Loop]:
 
 
 def _cycles(time: Float, x: Float, y: Float, span: float) -> list[Loop]:
-    highs, _ = find_peaks(x, prominence=TURNS * span)
-    turns, _ = find_peaks(-x, prominence=TURNS * span)
+    highs, turns = _find_turns(x, span)
     ends = np.unique(np.concatenate([[_leaves(x, span)], turns, [x.size - 1 - _leaves(x[::-1], span)]]))
     turning = set(turns.tolist())
     found: list[Loop] = []
@@ -99,6 +98,21 @@ def _cycles(time: Float, x: Float, y: Float, span: float) -> list[Loop]:
         else:
             unclosed += 1
     return found
+
+
+def _find_turns(x: Float, span: float) -> tuple[Int, Int]:
+    """Samples at which x is highest and lowest, one of each turn.
+
+    A turn that a converter reaches in several equal steps has as many peaks, each as prominent as the turn.
+    """
+    places = [find_peaks(sign * x, prominence=TURNS * span)[0] for sign in (1.0, -1.0)]
+    at = np.concatenate(places)
+    is_high = np.repeat([True, False], [p.size for p in places])
+    order = np.argsort(at)
+    at, is_high = at[order], is_high[order]
+    runs = np.split(np.arange(at.size), np.flatnonzero(np.diff(is_high)) + 1)
+    chosen = [run[np.argmax(x[at[run]] if is_high[run[0]] else -x[at[run]])] for run in runs if run.size]
+    return at[[i for i in chosen if is_high[i]]], at[[i for i in chosen if not is_high[i]]]
 
 
 def _leaves(x: Float, span: float) -> int:

@@ -6,6 +6,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pipeline.analyse.cycle import cycle_loops
 from pipeline.analyse.recording import analyse_recording
@@ -150,6 +152,17 @@ def test_a_displacement_that_stands_still_beside_a_stretch_takes_nothing_from_it
     assert told["loss_kj_per_m3"] == pytest.approx(alone["loss_kj_per_m3"])
     assert told["loss_kj_per_m3"] > 0
     assert told["secant_n_per_mm"] is None
+
+
+@given(seed=st.integers(0, 1000), step=st.floats(1e-4, 0.05))
+def test_a_turn_that_a_converter_reaches_in_several_steps_is_one_turn(seed: int, step: float) -> None:
+    """Of ten slow cycles of a machine with a coarse converter two to seven were told."""
+    t = np.arange(0, 102, 0.02)
+    x = np.where((t > 1) & (t < 101), 1 - np.cos(2 * np.pi * 0.1 * (t - 1)), 0.0)
+    read = np.round((x + np.random.default_rng(seed).normal(0, 0.5 * step, t.size)) / step) * step
+    loops = find_loops(t, read, 0.4 * read)
+    assert len(loops) == 10
+    assert sum(loop.unclosed for loop in loops) == 0
 
 
 def test_sinusoids_take_what_the_loss_modulus_says() -> None:

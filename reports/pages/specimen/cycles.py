@@ -33,6 +33,8 @@ _LOOPS = 10
 """Cycles of a recording that are told; of more, the first and the last ones."""
 _IN_FULL = 3
 """Recordings of which so many cycles are told; of more, the first and the last one of each."""
+_AS_FAR = 0.98
+"""Range over the largest one from which a recording goes as far."""
 _LONG = 0.9
 """Correlation of neighbouring residuals from which what is left is called no noise."""
 _SHOWN = 4
@@ -112,19 +114,23 @@ def _loop_cells(draft: Draft, r: Record) -> tuple[Piece, ...]:
 
 
 def _loops_heading(found: Sequence[Record]) -> str:
-    """The loss of the last cycles that are steady, else of the first one, of the recording that goes farthest."""
+    """The loss of the last cycles that are steady, else of the first one, of the slowest of the recordings that go farthest."""
     unit = "mm" if any(r["displacement_high_mm"] is not None for r in found) else "stretch"
     low, high = ("displacement_low_mm", "displacement_high_mm") if unit == "mm" else ("stretch_low", "stretch_high")
     told = [r for r in found if r[high] is not None]
     if not told:
         return "What the cycles take"
-    farthest = max(told, key=lambda r: float(r[high] - r[low]))["recording_id"]
-    own = [r for r in told if r["recording_id"] == farthest]
+    farthest = _AS_FAR * max(float(r[high] - r[low]) for r in told)
+    as_far = [r for r in told if float(r[high] - r[low]) >= farthest]
+    slowest = max(as_far, key=lambda r: float(r["end_s"] - r["start_s"]))["recording_id"]
+    own = [r for r in told if r["recording_id"] == slowest]
     several = len({r["recording_id"] for r in told}) > 1
     about = ""
     if several:
         width = significant(float(np.median([r[high] - r[low] for r in own])), 3)
+        duration = with_unit(significant(float(np.median([r["end_s"] - r["start_s"] for r in own])), 3), "s")
         about = f" over {with_unit(width, 'mm')}" if unit == "mm" else f" over {width} of stretch"
+        about += f" in {duration}"
     for key, energy in (("loss_mj", "mJ"), ("loss_kj_per_m3", "kJ/m³")):
         steady = [float(r[f"steady_{key}"]) for r in own if r[f"steady_{key}"] is not None]
         if len(steady) > 1:
