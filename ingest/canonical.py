@@ -32,6 +32,8 @@ from schemas.units import ANY, conversion
 _DYNAMIC = ("chirp", "sphs", "noise", "cyclic", "cycle", "step", "tap")
 """Protocols in which every required channel must change."""
 _FORCES = ("force", "force_1", "force_2")
+_LEAST_USED = 0.01
+"""Least part of its range that a load cell is used to: below that a force in mN is no better guess."""
 _REPEATED_INSTANTS = 0.01
 """Share of samples that may stand at an instant told twice with two values; beyond it the clock is too coarse."""
 _LEAST_STRETCH, _LARGEST_STRETCH = 0.3, 8.0
@@ -353,11 +355,13 @@ def _check_range(
         swapped = (
             ", whether force and displacement are in each other's place: what is called displacement lies within it,"
         )
+        milli = abs(largest) / 1000
+        in_milli = f" (of mN it would be at most {milli:.4g} N)" if _LEAST_USED * limit < milli < limit else ""
         raise RefusedError(
             text,
             where=where,
             expected=f"at most {limit:g} N, load_cell_range_n of the rig",
-            remedy=f"Check the unit of the channel{swapped if may_be_swapped else ''} and the rig's load_cell_range_n",
+            remedy=f"Check the unit of the channel{in_milli}{swapped if may_be_swapped else ''} and the rig's load_cell_range_n",
         )
     problems.append(f"{text}; expected below {limit:g} N in size")
 

@@ -204,6 +204,10 @@ def test_load_cell_range() -> None:
         check(GOOD[0], channel("force", "N", 1000 * values), rig={"load_cell_range_n": "2"})
     assert "2 N" in refused.value.expected
     assert "in each other's place" in refused.value.remedy
+    assert "of mN" not in refused.value.remedy, "that would be beyond the range as well"
+    with pytest.raises(RefusedError, match="load cell's range") as refused:
+        check(GOOD[0], channel("force", "N", 600 * values), rig={"load_cell_range_n": "2"})
+    assert "(of mN it would be at most 1.5 N)" in refused.value.remedy
     with pytest.raises(RefusedError, match="load cell's range") as refused:
         check(
             channel("displacement", "mm", 5 * values), channel("force", "N", 9 * values), rig={"load_cell_range_n": "2"}
