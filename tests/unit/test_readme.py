@@ -25,6 +25,7 @@ from ingest.parts import list_parts, name_parts, part_of
 from ingest.read import read_raw
 from pipeline.cli import main
 from pipeline.simulate.plan import load_campaign
+from pipeline.transform.respond import respond
 from schemas.metadata import RecordingMetadata, RigConstants
 from tests.helpers import synthetic_lab
 from tests.tools.docs import PARTS, PICTURES, README, ROOT, SHOTS, renew
@@ -143,8 +144,11 @@ def test_the_writer_example_makes_a_recording(tmp_path: Path, monkeypatch: pytes
     raw = read_raw(tmp_path / "P-07_chirp-1.mcap", None)
     recording = canonical(raw, where="example", rig_file=None, source=None)
     assert recording.status == "ok"
-    assert recording.channels["displacement"].values.size == 4000
+    assert recording.channels["displacement"].values.size == 44_000
     assert recording.channels["force"].values.max() == pytest.approx(0.32, rel=1e-2)  # mN became N
+    (response,) = respond(recording).responses
+    assert response.frequency_hz.max() > 90, "a night has to make something of what the README shows"
+    assert np.abs(response.value[response.usable]) == pytest.approx(0.2, rel=0.02)
 
 
 def examples() -> list[tuple[str, str]]:
