@@ -1,6 +1,6 @@
 """The door for notebooks: a lab's results as pandas frames, and a specimen's model to be used again.
 
-    from pipeline import Lab
+    from dealab import Lab
     lab = Lab("lab")
     lab.sql("SELECT * FROM best_models")        any read-only query
     lab.samples("PA-1-sphs-7kV")                raw samples over time in s
