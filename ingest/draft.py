@@ -399,7 +399,7 @@ def _recording(opened: Opened) -> Draft:
             continue  # measured in volts of a monitor, whose scale is not known
         about[key] = value
         remarks[f"recording.{key}"] = "measured from the trace"
-    facts = ("specimen_id", "operator", "material", "film_length_mm", "film_width_mm", "film_thickness_mm")
+    facts = ("specimen_id", "operator", "material", *_SIZES)
     _take(opened.facts, about, remarks, facts if specimens is None else facts[1:])
     if any(c.meaning == "displacement" and c.unit == "mm" for c in opened.columns):
         questions += _ask_units_of_sizes(opened)

@@ -59,19 +59,7 @@ _OF_OUTPUT = frozenset(
 """Kinds of functionals of the force."""
 _TIMES_KNOWN = 0.02
 """Share to which the time of a feature is known by which a drift is followed: a window sees each frequency at another time."""
-_OF_OUTPUT_ALONE = frozenset(
-    {
-        CHIRP_HARMONIC,
-        CHIRP_LEVEL,
-        CYCLIC_HARMONIC,
-        CYCLIC_LEVEL,
-        RELAXATION_FORCE,
-        CYCLE_FORCE,
-        SPHS_DETECTION,
-        STEP_FORCE,
-        STEP_CAPACITANCE,
-    }
-)
+_OF_OUTPUT_ALONE = (_OF_OUTPUT - RESPONSES) | {SPHS_DETECTION, STEP_CAPACITANCE}
 """Kinds that are not divided by the size of the input."""
 _NO_UNIT = frozenset({REST_HUM, TAP_RING})
 """Kinds that are the same whatever the unit of the channels."""
@@ -116,7 +104,7 @@ def scale_channels(features: RecordingFeatures, factors: dict[str, float]) -> Re
 
 def _scale_block(block: FeatureBlock, electrical: bool, factors: dict[str, float]) -> FeatureBlock:
     given, voltage, command = (factors.get(name, 1.0) for name in ("displacement", "voltage", "command"))
-    output = factors.get("capacitance" if block.kind in CAPACITANCE else "force", 1.0)
+    output = _scale_of_output(block.kind, factors)
     response = scale_of(block.kind, electrical, factors)
     scale = np.full(block.size, output if block.kind in _OF_OUTPUT_ALONE else response)
     if "order" in block.support and given < 0:
@@ -142,22 +130,19 @@ def _scale_block(block: FeatureBlock, electrical: bool, factors: dict[str, float
     for name in ("drift_weight", "shift_weight"):
         if name in support and block.kind not in AMPLIFIER:
             support[name] = (support[name].reshape(block.size, -1) * (scale / output)[:, None]).ravel()
-    size = np.abs(scale)
-    basis = []
-    for part, of in zip(block.basis, block.components, strict=True):
-        own = factors.get(_tell_channel(of, block), 1.0)
-        basis.append(part * (size / own) ** 2 if part.ndim == 1 else part * np.outer(scale, scale) / own**2)
+    own = [factors.get(_tell_channel(component), 1.0) for component in block.components]
+    spread = np.outer(scale, scale) if block.basis.ndim == 3 else scale**2
     return replace(
         block,
         value=block.value * scale,
-        basis=np.array(basis),
+        basis=np.array([part * spread / f**2 for part, f in zip(block.basis, own, strict=True)]),
         amplitude=block.amplitude * abs(given),
         voltage_kv=block.voltage_kv * abs(voltage),
         support=support,
     )
 
 
-def _tell_channel(component: str, block: FeatureBlock) -> str:
+def _tell_channel(component: str) -> str:
     """The channel whose noise a part of a block's noise is: mains are a part of the output's."""
     name = component.partition("/")[0]
     return "force" if name.startswith("mains") else name
@@ -169,14 +154,15 @@ def scale_of(kind: str, electrical: bool, factors: dict[str, float]) -> float:
         return 1.0
     if kind == WEIGHT_GAIN:
         return factors.get("force", 1.0)
-    if electrical:
-        voltage = factors.get("voltage", 1.0)
-        if kind in AMPLIFIER:
-            return voltage / factors.get("command", 1.0)
-        output = factors.get("capacitance" if kind in CAPACITANCE else "force", 1.0)
-        return output / voltage**2
-    output = factors.get("capacitance" if kind in CAPACITANCE else "force", 1.0)
-    return output / factors.get("displacement", 1.0)
+    if electrical and kind in AMPLIFIER:
+        return factors.get("voltage", 1.0) / factors.get("command", 1.0)
+    given = factors.get("voltage", 1.0) ** 2 if electrical else factors.get("displacement", 1.0)
+    return _scale_of_output(kind, factors) / given
+
+
+def _scale_of_output(kind: str, factors: dict[str, float]) -> float:
+    """Factor of the output that features of a kind are of."""
+    return factors.get("capacitance" if kind in CAPACITANCE else "force", 1.0)
 
 
 def turn(block: FeatureBlock, delay_s: float, drift: float) -> Complex:

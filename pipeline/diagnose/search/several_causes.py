@@ -45,7 +45,7 @@ def add_causes(singles: Sequence[Hypothesis], changes: Secants) -> list[Hypothes
     Parameters
     ----------
     singles : hypotheses of one cause each, or of one beside the lag of the amplifier
-    changes : of all mechanisms about the plain model
+    changes : of all mechanisms about the plain model, or that with the lag of the amplifier
 
     Returns
     -------
@@ -82,7 +82,7 @@ def try_causes_of_form(
     base : the plain model, or one with causes
     regions : at their optima, beside the base
     listed : hypotheses of listed causes so far; regions less probable than the best of them ask for nothing
-    changes : of all mechanisms about the plain model
+    changes : of all mechanisms about the plain model, or that with the lag of the amplifier
     """
     least = max((h.log_joint for h in listed), default=-np.inf)
     likely = [h.region.region for h in regions if h.region is not None and h.log_joint > least]
