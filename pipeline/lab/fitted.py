@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pipeline.lab.extension import translate_severities
 from pipeline.physics.film import RelaxationModel
 from pipeline.simulate.specimen import GEOMETRY, Deviations, Material, Specimen, checked_geometry
 from reports.figures.curves import arms, band
 from schemas.arrays import Complex, Float
 from schemas.errors import UsageError
+from schemas.quantities import QUANTITIES
+from schemas.tables import ARMS
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
 _RIG = "rig"
+_NORMAL_95 = 1.959964
+_RIG_UNITS = {
+    "clamp_mass_kg": "kg",
+    "load_cell_stiffness_n_per_mm": "N/mm",
+    "load_cell_damping_n_s_per_mm": "N s/mm",
+    "force_per_voltage_squared_n_per_kv2": "N/kV²",
+}
 
 
 @dataclass(frozen=True)
@@ -61,6 +71,34 @@ class FittedModel:
     def relaxation(self, time_s: ArrayLike) -> Float:
         """Relaxation function in N/mm at times in s after a step. A pure dashpot has none (`ValueError`)."""
         return self.model.relaxation(time_s)
+
+    def parameters(self) -> pd.DataFrame:
+        """Springs, dampers, relaxation times and fitted rig constants, a row each: value, 95 % limits, unit.
+
+        Limits are those of the fit; where it keeps none, as an extended model, 1.96 standard deviations to either side.
+        No number where a parameter is not resolved on that side.
+        """
+        import pandas as pd
+
+        stored = json.loads(self.row.get("intervals") or "{}")
+        rows = [
+            (name, value, *_find_limits(stored.get(name), value, self.row.get(f"{column}_sd")), unit)
+            for name, column, value, unit in self._list_parameters()
+        ]
+        frame = pd.DataFrame(rows, columns=["parameter", "value", "lower_95", "upper_95", "unit"])
+        return frame.astype(dict.fromkeys(("value", "lower_95", "upper_95"), float)).set_index("parameter")
+
+    def _list_parameters(self) -> Iterator[tuple[str, str, float, str]]:
+        """Name, column in `model_fits` (none for relaxation times), value and unit of what the fit has."""
+        for i in range(ARMS + 1):
+            for name, column, unit in ((f"k{i}", f"k{i}_n_per_mm", "N/mm"), (f"c{i}", f"c{i}_n_s_per_mm", "N s/mm")):
+                if self.row.get(column) is not None:
+                    yield name, column, self.row[column], unit
+            if i and self.row.get(f"k{i}_n_per_mm"):
+                yield f"tau{i}", "", self.row[f"c{i}_n_s_per_mm"] / self.row[f"k{i}_n_per_mm"], "s"
+        for name, unit in _RIG_UNITS.items():
+            if self.row.get(name) is not None:
+                yield name, name, self.row[name], unit
 
     def frame(self, frequency_hz: ArrayLike) -> pd.DataFrame:
         """The model at n frequencies: complex value, magnitude and phase with their standard deviations.
@@ -124,7 +162,7 @@ class FittedModel:
 
         The film has the fitted relaxation and, where voltages were on it, the fitted force; the rig is the fitted one;
         the extended model takes the effects along that its diagnosis found. Raises `UsageError` where geometry or rig
-        are not known well enough to simulate.
+        are not known well enough to simulate, or the virtual rig has no such effect.
         """
         model, geometry = self.model, self._choose_geometry()
         material: dict[str, Any] = {"k0_n_per_mm": model.k0}
@@ -139,8 +177,7 @@ class FittedModel:
             f"specimens.{_write_key(self.specimen_id)}": {"rig": _RIG, "material": "film"},
             f"specimens.{_write_key(self.specimen_id)}.geometry": geometry,
         }
-        for mechanism, parameters in self.effects.items():
-            values = {p: v["value"] if isinstance(v, Mapping) else v for p, v in parameters.items()}
+        for mechanism, values in translate_severities(self.effects).items():
             tables[f"specimens.{_write_key(self.specimen_id)}.effects.{mechanism}"] = values
         lines = [f"name = {_write_value(f'{self.specimen_id} simulated')}", f"seed = {seed}"]
         lines += ["started_at = 2026-01-01T00:00:00+00:00", ""]
@@ -152,6 +189,29 @@ class FittedModel:
             lines += [f"{key} = {_write_value(value)}" for key, value in own.items()]
             lines.append("")
         return "\n".join(lines)
+
+    def simulate(self, recording: Mapping[str, Any], *, seed: int = 1) -> pd.DataFrame:
+        """What this specimen would do in one test: samples of the virtual rig, as `Lab.samples` gives recorded ones.
+
+        `recording` and `seed` as for `campaign`. Force begins at 0: a fit knows nothing of the tension. Raises
+        `UsageError` where it is more than one recording, or cannot be simulated.
+        """
+        import tomllib
+
+        import pandas as pd
+
+        from pipeline.simulate.campaign import read_campaign, simulate_one
+
+        campaign = read_campaign(tomllib.loads(self.campaign([recording], seed=seed)), where="recording")
+        if len(campaign.planned) != 1:
+            raise UsageError(f"{len(campaign.planned)} recordings at once", expected="one, without vary")
+        channels = simulate_one(campaign, campaign.planned[0]).recording.channels
+        frame = pd.DataFrame({name: pd.Series(c.values, index=c.time_ns) for name, c in channels.items()})
+        start = int(frame.index[0])
+        frame.index = ((frame.index - start) / 1e9).rename("time_s")
+        units = {name: QUANTITIES[name].unit for name in channels}
+        frame.attrs = {"units": units, "recording_id": campaign.planned[0].recording_id, "start_ns": start}
+        return frame
 
     def _choose_geometry(self) -> dict[str, Any]:
         found = {k: _parse_number(v) for k, v in self.geometry.items() if k in GEOMETRY and v not in (None, "")}
@@ -183,6 +243,13 @@ class FittedModel:
         if "load_cell_damping_n_s_per_mm" not in table:
             table["damping_ratio"] = 0.01
         return table
+
+
+def _find_limits(stored: Mapping[str, Any] | None, value: float, sd: float | None) -> tuple[float | None, float | None]:
+    """Lower and upper 95 % limit: the fit's own, else by the standard deviation, else none."""
+    if stored is not None:
+        return stored["lower"], stored["upper"]
+    return (None, None) if sd is None else (value - _NORMAL_95 * sd, value + _NORMAL_95 * sd)
 
 
 def _parse_number(value: Any) -> Any:

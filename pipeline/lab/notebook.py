@@ -6,7 +6,7 @@
     lab.samples("PA-1-sphs-7kV")                raw samples over time in s
     lab.responses("PA-1")                       frequency responses of a specimen or a recording
     lab.table("step_responses", specimen_id=…)  any table, the rows that match
-    lab.fit("PA-1").plot()                      the fitted model: evaluate, plot, simulate
+    lab.fit("PA-1").plot()                      the fitted model: parameters, evaluate, plot, simulate
     lab.figures("PA-1")                         the figures there are, and what each shows
     lab.figure("PA-1", "response")              one of them, as a matplotlib Figure
 
@@ -21,6 +21,8 @@ import pipeline.lab.lab
 from schemas.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import pandas as pd
     from matplotlib.figure import Figure
 
@@ -32,6 +34,9 @@ _RESPONSE_UNITS = {
     "force_per_voltage_squared_n_per_kv2": "N/kV²",
     "output_per_input": "output per input",
 }
+
+_BY_NOISE = "coalesce(weighting, '') NOT IN ('uniform', 'relative')"
+"""Of the fits of an order those among which an order is chosen."""
 
 
 class Lab(pipeline.lab.lab.Lab):
@@ -112,8 +117,8 @@ class Lab(pipeline.lab.lab.Lab):
         frame.attrs = {"units": units, "item": item}
         return frame
 
-    def fit(self, specimen_id: str, *, extended: bool = False) -> FittedModel:
-        """The model of a specimen: the fit to use, or the one that a diagnosis has extended.
+    def fit(self, specimen_id: str, *, order: int | None = None, extended: bool = False) -> FittedModel:
+        """The model of a specimen: the fit to use, the same of another order, or the one that a diagnosis has extended.
 
         Raises `UsageError` where the specimen has no such fit.
         """
@@ -121,14 +126,17 @@ class Lab(pipeline.lab.lab.Lab):
 
         from pipeline.lab.fitted import FittedModel
 
-        wanted = "coalesce(extension, '') <> ''" if extended else "selected AND coalesce(extension, '') = ''"
+        if extended and order is not None:
+            raise UsageError("an extended model of another order", expected="extended, or an order")
+        of_order = "selected" if order is None else f"model_order = {int(order)} AND {_BY_NOISE}"
+        wanted = "coalesce(extension, '') <> ''" if extended else f"{of_order} AND coalesce(extension, '') = ''"
         rows = self._rows(
             f"SELECT * FROM model_fits WHERE specimen_id = {_literal(specimen_id)} AND {wanted} "
             "ORDER BY CASE loading WHEN 'mechanical' THEN 0 WHEN 'joint' THEN 1 ELSE 2 END, "
             "CASE method WHEN 'forward' THEN 0 WHEN 'corrected' THEN 1 ELSE 2 END, selected DESC LIMIT 1"
         )
         if not rows:
-            kind = "extended model" if extended else "fitted model"
+            kind = "extended model" if extended else "fitted model" if order is None else f"model of order {order}"
             raise UsageError(
                 f'no {kind} of specimen "{specimen_id}"',
                 remedy=self.spell_command('sql "SELECT specimen_id, extension FROM model_fits WHERE selected"')
@@ -151,7 +159,7 @@ class Lab(pipeline.lab.lab.Lab):
             geometry={k: v for one in stored for k, v in dict(one.get("recording", {})).items()},
             rig={k: v for one in stored for k, v in dict(one.get("rig", {})).items()},
             force_per_voltage_squared=float(force[0]["force"]) if force else None,
-            effects=json.loads(severity[0]["severity"] or "{}") if extended and severity else {},
+            effects=_choose_effects(rows[0], json.loads(severity[0]["severity"] or "{}") if severity else {}),
             measured=self.table("frequency_responses", specimen_id=specimen_id),
         )
 
@@ -173,7 +181,9 @@ class Lab(pipeline.lab.lab.Lab):
 
         if width is not None and width not in WIDTHS_MM:
             raise UsageError(f'"{width}" is no width', expected=" or ".join(WIDTHS_MM))
-        return choose_exhibit(self._find_exhibits(thing), thing, kind).picture.draw(width).figure
+        figure: Figure = choose_exhibit(self._find_exhibits(thing), thing, kind).picture.draw(width).figure
+        _show_in_notebooks()
+        return figure
 
     def _find_exhibits(self, thing: str) -> list[Exhibit]:
         from reports.gallery import find_exhibits
@@ -191,6 +201,21 @@ class Lab(pipeline.lab.lab.Lab):
         with Query(self) as database:
             rows: list[dict[str, Any]] = database.run(query).to_pylist()
         return rows
+
+
+def _choose_effects(row: Mapping[str, Any], severities: Mapping[str, Any]) -> dict[str, Any]:
+    """What was found of the mechanisms in a fit; faults of recordings are in no model."""
+    return {name: severities[name] for name in (row["extension"] or "").split(",") if name in severities}
+
+
+def _show_in_notebooks() -> None:
+    """Lets a notebook draw figures that pyplot has not made, as it does once a figure of pyplot has been shown."""
+    import sys
+
+    if "IPython" in sys.modules:
+        import matplotlib.pyplot as plt
+
+        plt.install_repl_displayhook()
 
 
 def _literal(value: str | float) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import duckdb
 import matplotlib as mpl
@@ -13,12 +15,21 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline import Lab
+from pipeline.lab.fitted import FittedModel
 from pipeline.simulate.campaign import simulate_one
 from pipeline.simulate.plan import read_campaign
 from schemas.errors import DealabError, UsageError
 from tests.helpers import synthetic_lab
 
 mpl.use("Agg")
+SWEEP = {
+    "test": "chirp",
+    "amplitude_mm": 0.2,
+    "frequency_stop_hz": 50.0,
+    "sweep_s": 5.0,
+    "sample_rate_hz": 500,
+    "id": "what-if",
+}
 
 
 @pytest.fixture(scope="module")
@@ -132,6 +143,102 @@ def test_the_extended_model_takes_its_effects_along(lab: Lab) -> None:
     table = tomllib.loads(fit.campaign([{"test": "chirp", "start_hz": 1.0, "stop_hz": 50.0, "id": "x"}]))
     assert table["specimens"]["P-07"]["effects"] == {"rig_constants": {"stiffness_error": 0.063}}
     assert table["rigs"]["rig"]["load_cell_stiffness_n_per_mm"] == 20.0, "the filed one, from which the effect departs"
+
+
+def with_effects(lab: Lab, **severities: Any) -> FittedModel:
+    return replace(lab.fit("P-07"), effects=severities)
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "severity", "effect"),
+    [
+        (
+            "drive_lag",
+            {"rise_time_constant_s": {"value": 0.01}, "slew_kv_per_s": {"value": None}, "form": "monitored"},
+            {"rise_time_constant_s": 0.01, "monitored": True},
+        ),
+        (
+            "drive_lag",
+            {"rise_time_constant_s": {"value": 0.01}, "form": "hidden from the monitor"},
+            {"rise_time_constant_s": 0.01, "monitored": False},
+        ),
+        ("gain_error", {"gain": {"value": 0.05}, "channel": "voltage"}, {"gain": 0.05, "channel": "voltage"}),
+        ("sensor_delay", {"delay_s": {"value": 1e-3}, "channel": "force"}, {"delay_s": 1e-3, "channel": "force"}),
+        (
+            "mains_hum",
+            {
+                "amplitude_n": {"value": 0.004},
+                "second": {"value": 0.5},
+                "frequency_hz": {"value": 60.0},
+                "channel": "60 Hz",
+            },
+            {"amplitude_n": 0.004, "second_n": 0.002, "frequency_hz": 60.0},
+        ),
+        (
+            "baseline_drift",
+            {"per_decade": {"value": 0.02}, "onset_s": {"value": 3.0}, "form": "recording"},
+            {"per_decade": 0.02, "t0_s": 3.0},
+        ),
+    ],
+)
+def test_what_a_diagnosis_finds_becomes_an_effect_that_the_rig_has(
+    lab: Lab, mechanism: str, severity: dict[str, Any], effect: dict[str, Any]
+) -> None:
+    table = tomllib.loads(with_effects(lab, **{mechanism: severity}).campaign([SWEEP]))
+    assert table["specimens"]["P-07"]["effects"] == {mechanism: effect}
+    (planned,) = read_campaign(table).planned
+    assert simulate_one(read_campaign(table), planned).truth["effects"][mechanism] == effect
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "severity"),
+    [
+        ("cyclic_softening", {"loss": {"value": 0.1}}),
+        ("amplitude_softening", {"drop": {"value": 0.1}, "form": "running"}),
+        ("drive_lag", {"rise_time_constant_s": {"value": 0.01}, "form": "monitored, and further behind the monitor"}),
+        ("baseline_drift", {"per_decade": {"value": 0.1}, "onset_s": {"value": 1.0}, "form": "session"}),
+    ],
+)
+def test_what_the_rig_does_not_have_is_refused(lab: Lab, mechanism: str, severity: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match=f"{mechanism}.* cannot be put on the virtual rig"):
+        with_effects(lab, **{mechanism: severity}).simulate(SWEEP)
+
+
+def test_a_simulated_recording_is_a_frame_as_a_recorded_one(lab: Lab) -> None:
+    frame = lab.fit("P-07").simulate(SWEEP)
+    assert frame.index.name == "time_s"
+    assert frame.index[0] == 0
+    assert frame.attrs["units"] == {"displacement": "mm", "force": "N"}
+    assert frame.attrs["recording_id"] == "what-if"
+    assert np.ptp(frame["displacement"]) == pytest.approx(0.4, rel=0.02), "twice the amplitude"
+    assert frame.equals(lab.fit("P-07").simulate(SWEEP))
+    assert not frame.equals(lab.fit("P-07").simulate(SWEEP, seed=2))
+    with pytest.raises(UsageError, match="2 recordings at once"):
+        lab.fit("P-07").simulate({k: v for k, v in SWEEP.items() if k != "id"} | {"vary": {"sweep_s": [4.0, 5.0]}})
+
+
+def test_parameters_with_their_limits(lab: Lab) -> None:
+    fit = lab.fit("P-07")
+    frame = fit.parameters()
+    assert frame.index[0] == "k0"
+    assert set(frame["unit"]) <= {"N/mm", "N s/mm", "s", "kg", "N/kV²"}
+    stated = replace(fit, row={**fit.row, "intervals": '{"k0": {"lower": 0.9, "upper": null, "method": "profile"}}'})
+    k0 = stated.parameters().loc["k0"]
+    assert (k0["value"], k0["lower_95"]) == (fit.model.k0, 0.9)
+    assert np.isnan(k0["upper_95"]), "no limit on that side"
+    by_sd = replace(fit, row={**fit.row, "intervals": None}).parameters().loc["k0"]
+    assert by_sd["upper_95"] - by_sd["value"] == pytest.approx(1.96 * fit.row["k0_n_per_mm_sd"], rel=1e-3)
+    np.testing.assert_allclose(frame.loc["tau1", "value"], fit.model.tau[0])
+
+
+def test_a_fit_of_another_order(lab: Lab) -> None:
+    orders = lab.table("model_fits", specimen_id="P-07")["model_order"]
+    other = next(int(o) for o in orders if o != lab.fit("P-07").row["model_order"])
+    assert lab.fit("P-07", order=other).row["model_order"] == other
+    with pytest.raises(UsageError, match="no model of order 9"):
+        lab.fit("P-07", order=9)
+    with pytest.raises(UsageError, match="extended model of another order"):
+        lab.fit("P-07", order=1, extended=True)
 
 
 def test_without_a_fit_the_remedy_is_named(lab: Lab) -> None:

@@ -244,6 +244,7 @@ def test_the_notebook_examples_run(there: Path) -> None:
     assert found["steps"].attrs["units"]["force_step_n"] == "N"
     assert np.iscomplexobj(found["response"]["value"])
     exec(as_in_the_test(notebook[1]), found)
+    assert {"voltage", "force"} <= set(found["expected"].columns)
     assert [p.recording_id for p in load_campaign(there / "what-if.toml").planned] == ["what-if"]
 
 
