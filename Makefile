@@ -11,6 +11,8 @@
 #              all kinds, and a lab in older DuckDBs (from PyPI); writes tests/faults/results.md, soak.md and old_duckdb.md
 # make docs    renews the generated parts of the READMEs and the pictures (those with Chromium, from the demonstration)
 # make lint    formatting, lint, types, the import rule
+# make release-check   builds wheel and sdist into dist/, installs the wheel alone with the pinned libraries and tries it outside
+#              of the checkout; make release-check PYTHONS="python3.11 python3.13" does so with each of them
 # make audit   asks the advisories of PyPI about every pinned release (needs a network)
 # make pins    writes the hashes of the pinned requirements anew, for every supported Python (needs uv)
 # make clean   removes environments, caches and the demonstration
@@ -22,6 +24,7 @@ VENV := .venv
 PEERS := .venv-peers
 FUZZ := .venv-fuzz
 AUDIT := .venv-audit
+RELEASE := .venv-release
 BIN := $(VENV)/bin
 DEMO := demo
 
@@ -29,12 +32,13 @@ PROPERTIES = $(shell grep -lr --include='test_*.py' '^from hypothesis import' te
 RUNTIME := $(VENV)/.runtime
 DEVELOPMENT := $(VENV)/.development
 PIP_FLAGS := --quiet --disable-pip-version-check
+PYTHONS ?= $(PYTHON)
 SUPPORTED := 3.11 3.12 3.13 3.14
 # With hashes where the Python is a supported one; a newer one gets the same versions, unhashed.
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 HASHED = $(if $(filter $(VERSION),$(SUPPORTED)),--require-hashes -r requirements/$(1)-$(VERSION).txt,-r $(2))
 
-.PHONY: demo test long quick bench study fuzz faults docs lint audit pins clean
+.PHONY: demo test long quick bench study fuzz faults docs lint release-check audit pins clean
 .DEFAULT_GOAL := demo
 
 demo: $(RUNTIME)
@@ -84,6 +88,9 @@ lint: $(DEVELOPMENT)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+release-check: $(RELEASE)/.ready
+	$(RELEASE)/bin/python -m tests.tools.release $(PYTHONS)
+
 # A release that the advisories do not know is as bad as one with an advisory: nothing is said to be clean that was not asked.
 audit: $(AUDIT)/.ready
 	for version in $(SUPPORTED); do \
@@ -97,9 +104,11 @@ pins:
 	  uv pip compile --quiet --generate-hashes --only-binary :all: --no-annotate --no-header --python-version $$version \
 	    requirements-dev.txt --output-file requirements/development-$$version.txt || exit 1; \
 	done
+	uv pip compile --quiet --generate-hashes --no-annotate --no-header --universal --python-version 3.11 \
+	  --constraint requirements.txt requirements/release.in --output-file requirements/release.txt
 
 clean:
-	rm -rf $(VENV) $(PEERS) $(FUZZ) $(AUDIT) $(DEMO) build dist artifacts
+	rm -rf $(VENV) $(PEERS) $(FUZZ) $(AUDIT) $(RELEASE) $(DEMO) build dist artifacts
 	rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find schemas ingest pipeline reports tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -137,4 +146,9 @@ $(FUZZ)/.ready: requirements.txt requirements-dev.txt pyproject.toml
 $(AUDIT)/.ready:
 	$(PYTHON) -m venv $(AUDIT)
 	$(AUDIT)/bin/python -m pip install $(PIP_FLAGS) pip-audit==2.10.1
+	@touch $@
+
+$(RELEASE)/.ready: requirements/release.txt
+	$(PYTHON) -m venv $(RELEASE)
+	$(RELEASE)/bin/python -m pip install $(PIP_FLAGS) --require-hashes -r requirements/release.txt
 	@touch $@

@@ -68,7 +68,7 @@ class RefusedError(DealabError):
 
 
 class MissingExtraError(RefusedError):
-    """The reader of this format is not installed: the file is fine, and readable once it is."""
+    """What reads this format or unit is not installed: the file is fine, and readable once it is."""
 
     transient = True
 

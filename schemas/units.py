@@ -17,7 +17,7 @@ import numpy as np
 
 from schemas.alike import ask_meant
 from schemas.arrays import Float
-from schemas.errors import RefusedError
+from schemas.errors import MissingExtraError, RefusedError
 
 ANY = "any"
 """Canonical unit of quantities that keep whatever unit they come in."""
@@ -155,7 +155,8 @@ def _spelled(unit: str) -> str:
 def conversion(unit: str, canonical: str, *, where: str = "") -> Conversion:
     """Conversion from `unit` to `canonical`.
 
-    Raises `RefusedError` when the unit is unknown or its dimension differs from the canonical unit's.
+    Raises `RefusedError` when the unit is unknown or its dimension differs from the canonical unit's, and its kind
+    `MissingExtraError` for an uncommon unit where pint is not installed, as on a rig that only writes.
     """
     if canonical == ANY or unit == canonical:
         return Conversion(1.0)
@@ -175,8 +176,15 @@ def conversion(unit: str, canonical: str, *, where: str = "") -> Conversion:
 
 
 def _parsed_conversion(text: str, canonical: str, where: str) -> Conversion:
-    import pint
-
+    try:
+        import pint
+    except ModuleNotFoundError:
+        raise MissingExtraError(
+            f'reading the unit "{text[:60]}" needs pint, which is not installed',
+            where=where,
+            expected=f"one of {', '.join(filter(None, _COMMON.get(canonical, {canonical: 1.0})))}",
+            remedy="Install pint, or give the values in one of these units",
+        ) from None
     registry = _registry()
     refused = functools.partial(
         RefusedError, where=where, remedy="Correct the channel's unit at the source and send the file again"

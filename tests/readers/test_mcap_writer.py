@@ -18,6 +18,7 @@ from ingest.mcap_writer import RecordingWriter
 from schemas.errors import RefusedError, UsageError
 from schemas.metadata import RecordingMetadata, RigConstants
 from tests.helpers.mcap_files import METADATA, START, message_type, parsed_block
+from tests.tools.release import writer_example
 
 MS = 1_000_000
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -295,3 +296,57 @@ def test_a_block_is_what_protobuf_would_write() -> None:
         parsed = parsed_block(sample_block(START, 1e-3, values))
         assert (parsed.start_time_ns, parsed.sample_interval_s) == (START, 1e-3)
         assert np.array_equal(np.array(parsed.values), values)
+
+
+_ALONE = """
+import sys
+
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        library = name.partition(".")[0]
+        ours = ("numpy", "mcap", "google", "lz4", "zstandard", "schemas", "ingest", "tests")
+        if library not in ours and library not in sys.stdlib_module_names:
+            raise ModuleNotFoundError(f"No module named {name}", name=name)
+
+sys.meta_path.insert(0, Blocked())
+"""
+"""Only what a rig's computer installs for writing can be imported after this."""
+_UNCOMMON = """
+from ingest.mcap_writer import RecordingWriter
+from schemas.errors import MissingExtraError
+from tests.helpers.mcap_files import METADATA
+with RecordingWriter("lbf.mcap", METADATA) as writer:
+    try:
+        writer.add_channel("force", "lbf")
+    except MissingExtraError as error:
+        print(error)
+    writer.add_channel("force", "mN")
+    writer.append("force", 1_772_000_000_000_000_000, 1e-3, [1.0])
+"""
+
+
+def _run_alone(code: str, folder: Path) -> str:
+    """What a script says that can import nothing but what the writer needs."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    words = [sys.executable, "-c", _ALONE + code]
+    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_readmes_example_runs_with_what_a_rig_installs(tmp_path: Path) -> None:
+    _run_alone(writer_example(), tmp_path)
+    recording = read_mcap(tmp_path / "P-07_chirp-1.mcap")
+    assert {channel.quantity: channel.values.size for channel in recording.channels} == {
+        "displacement": 44_000,
+        "force": 44_000,
+    }
+    assert recording.problems == ()
+
+
+def test_a_unit_that_only_pint_knows_is_refused_in_words_where_pint_is_not(tmp_path: Path) -> None:
+    assert _run_alone(_UNCOMMON, tmp_path) == (
+        'lbf.mcap: force: reading the unit "lbf" needs pint, which is not installed; expected one of N, newton, mN, kN, cN, µN, uN. '
+        "Install pint, or give the values in one of these units\n"
+    )
+    assert [channel.unit for channel in read_mcap(tmp_path / "lbf.mcap").channels] == ["mN"]

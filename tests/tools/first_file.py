@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,10 +27,10 @@ class Done:
     said: str
 
 
-def follow(readme: Path, folder: Path) -> list[Done]:
+def follow(readme: Path, folder: Path, environment: Mapping[str, str]) -> list[Done]:
     """Does what the section says in an empty folder: files are saved under the name in their first line, commands are run.
 
-    Raises `SystemExit` with all that was said when a command fails.
+    `environment` says which `dealab` that is. Raises `SystemExit` with all that was said when a command fails.
     """
     section = readme.read_text(encoding="utf-8").partition(HEADING)[2].partition("\n## ")[0]
     done: list[Done] = []
@@ -37,21 +38,26 @@ def follow(readme: Path, folder: Path) -> list[Done]:
         if language == "toml":
             (folder / content.splitlines()[0].removeprefix("# ")).write_text(content, encoding="utf-8")
             continue
-        done += [_run(line, readme.parent, folder) for line in content.splitlines()]
+        done += [run(line, folder, environment) for line in content.splitlines()]
     return done
 
 
-def _run(line: str, root: Path, folder: Path) -> Done:
-    command = line.partition("  #")[0].rstrip()
-    environment = os.environ | {
+def of_the_checkout(root: Path) -> dict[str, str]:
+    """An environment whose `dealab` is that of the checkout."""
+    return {
+        **os.environ,
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
         "PYTHONPATH": str(root),
-        "COLUMNS": "120",
     }
+
+
+def run(line: str, folder: Path, environment: Mapping[str, str]) -> Done:
+    """Runs a line of a shell in a folder. Raises `SystemExit` with all that was said when it fails."""
+    command = line.partition("  #")[0].rstrip()
     ended = subprocess.run(
         ["bash", "-euc", command],
         cwd=folder,
-        env=environment,
+        env={**environment, "COLUMNS": "120"},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -64,9 +70,13 @@ def _run(line: str, root: Path, folder: Path) -> Done:
 
 
 def shown(readme: Path) -> str:
-    """What the last commands of the section say, without the time that a night took."""
+    """What the last commands of the section say with the `dealab` of the checkout."""
     with tempfile.TemporaryDirectory() as folder:
-        done = follow(readme, Path(folder))
+        return show(follow(readme, Path(folder), of_the_checkout(readme.parent)))
+
+
+def show(done: Sequence[Done]) -> str:
+    """The last commands and what they said, without the time that a night took."""
     blocks = [
         f"$ {one.command}\n{re.sub(r'[0-9.]+ s[.]$', '… s.', one.said, flags=re.M).rstrip()}" for one in done[-_SHOWN:]
     ]
