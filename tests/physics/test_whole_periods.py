@@ -1,13 +1,16 @@
-"""Multisines whose period is no whole number of samples: the recorder's clock and the generator's are two."""
+"""Periods of multisines: no whole number of samples in one, for the clocks of recorder and generator are two, and too few of them."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.features.whole_periods import make_whole
+from pipeline.simulate.campaign import read_campaign, simulate_one
 from schemas.arrays import Float
-from schemas.recording import Channel
+from schemas.errors import NotIdentifiableError
+from schemas.recording import Channel, Recording
 
 RATE, PERIOD_S, LINES = 1000.0, 1.0, np.arange(1, 100, 2)
 PHASES = np.pi * np.arange(LINES.size) ** 2 / LINES.size
@@ -54,3 +57,30 @@ def test_what_is_whole_or_not_stated_stays_as_it_is() -> None:
     channels = record(1 / RATE, 1 / RATE)
     assert make_whole(channels, "voltage", PERIOD_S) == (channels, PERIOD_S)
     assert make_whole(channels, "voltage", None) == (channels, None)
+
+
+def multisine(periods: int) -> Recording:
+    """A film under a multisine of so many periods of a second."""
+    rig = {"clamp_mass_kg": 0.05, "load_cell_stiffness_n_per_mm": 20.0, "damping_ratio": 0.05, "load_cell_range_n": 2.0}
+    sizes = {"film_length_mm": 50.0, "film_width_mm": 50.0, "film_thickness_mm": 0.5, "stretch_1": 1.3}
+    electrode = {"active_length_mm": 40.0, "active_width_mm": 40.0}
+    film = {"k0_n_per_mm": 0.3, "relative_permittivity": 2.8}
+    test = {"test": "sphs", "drive_kv": 4.0, "lines": "full", "frequency_stop_hz": 20.0, "sample_rate_hz": 1000.0}
+    table = {
+        "name": "few",
+        "seed": 1,
+        "started_at": "2026-03-02T09:00:00+01:00",
+        "rigs": {"bench": rig},
+        "materials": {"film": film},
+        "specimens": {"F-1": {"rig": "bench", "material": "film", "geometry": sizes | electrode}},
+        "recordings": [{**test, "specimens": ["F-1"], "periods": periods}],
+    }
+    campaign = read_campaign(table)
+    return simulate_one(campaign, campaign.planned[0]).recording
+
+
+def test_a_record_that_ends_within_its_second_period_is_refused_with_its_number() -> None:
+    """It began with a period before the onset, which is none, and ended in an error of numpy."""
+    with pytest.raises(NotIdentifiableError, match="1 settled period"):
+        reduce(multisine(2))
+    assert reduce(multisine(4)).blocks

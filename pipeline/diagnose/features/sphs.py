@@ -185,7 +185,7 @@ def _periods(
     available = (wave.size - onset) // length
     # The first period holds the start of the film, and the clamp rings on from it.
     dropped = max(1, int(np.ceil(_ringing_s(recording.rig) / (length * found.interval_s)))) if available > 2 else 0
-    dropped = max(min(dropped, available - RULES.features.periods), min(1, available - 2))
+    dropped = max(min(dropped, available - RULES.features.periods), min(1, available - 2), 0)
     count = available - dropped
     first = onset + dropped * length
     if count < 2:
