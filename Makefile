@@ -13,6 +13,7 @@
 # make lint    formatting, lint, types, the import rule
 # make release-check   builds wheel and sdist into dist/, installs the wheel alone with the pinned libraries and tries it outside
 #              of the checkout; make release-check PYTHONS="python3.11 python3.13" does so with each of them
+# make site    the documents and docstrings as pages that need no network, in build/site; fails on a warning or a broken link
 # make audit   asks the advisories of PyPI about every pinned release (needs a network)
 # make pins    writes the hashes of the pinned requirements anew, for every supported Python (needs uv)
 # make clean   removes environments, caches and the demonstration
@@ -25,6 +26,7 @@ PEERS := .venv-peers
 FUZZ := .venv-fuzz
 AUDIT := .venv-audit
 RELEASE := .venv-release
+SITE := .venv-site
 BIN := $(VENV)/bin
 DEMO := demo
 
@@ -38,7 +40,7 @@ SUPPORTED := 3.11 3.12 3.13 3.14
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 HASHED = $(if $(filter $(VERSION),$(SUPPORTED)),--require-hashes -r requirements/$(1)-$(VERSION).txt,-r $(2))
 
-.PHONY: demo test long quick bench study fuzz faults docs lint release-check audit pins clean
+.PHONY: demo test long quick bench study fuzz faults docs site lint release-check audit pins clean
 .DEFAULT_GOAL := demo
 
 demo: $(RUNTIME)
@@ -82,6 +84,9 @@ faults: $(DEVELOPMENT)
 docs: $(DEVELOPMENT)
 	$(BIN)/python -m tests.tools.docs --pictures $(wildcard $(DEMO)/lab)
 
+site: $(SITE)/.ready
+	$(SITE)/bin/python -m tests.tools.site
+
 lint: $(DEVELOPMENT)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -106,9 +111,11 @@ pins:
 	done
 	uv pip compile --quiet --generate-hashes --no-annotate --no-header --universal --python-version 3.11 \
 	  --constraint requirements.txt requirements/release.in --output-file requirements/release.txt
+	uv pip compile --quiet --generate-hashes --no-annotate --no-header --universal --python-version 3.11 \
+	  requirements.txt requirements/site.in --output-file requirements/site.txt
 
 clean:
-	rm -rf $(VENV) $(PEERS) $(FUZZ) $(AUDIT) $(RELEASE) $(DEMO) build dist artifacts
+	rm -rf $(VENV) $(PEERS) $(FUZZ) $(AUDIT) $(RELEASE) $(SITE) $(DEMO) build dist artifacts
 	rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find schemas ingest pipeline reports tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -151,4 +158,9 @@ $(AUDIT)/.ready:
 $(RELEASE)/.ready: requirements/release.txt
 	$(PYTHON) -m venv $(RELEASE)
 	$(RELEASE)/bin/python -m pip install $(PIP_FLAGS) --require-hashes -r requirements/release.txt
+	@touch $@
+
+$(SITE)/.ready: requirements/site.txt
+	$(PYTHON) -m venv $(SITE)
+	$(SITE)/bin/python -m pip install $(PIP_FLAGS) --require-hashes -r requirements/site.txt
 	@touch $@

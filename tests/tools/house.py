@@ -55,14 +55,15 @@ def house_map(root: Path) -> str:
 
 
 def _table(root: Path, modules: tuple[str, ...]) -> str:
-    rows = [f"| [{name}]({name}) | {_first_sentence(root / name)} |" for name in modules]
+    rows = [f"| [{name}]({name}) | {first_paragraph(root / name).replace('|', '&#124;')} |" for name in modules]
     return "\n".join(["| module | what it does |", "|---|---|", *rows])
 
 
-def _first_sentence(path: Path) -> str:
+def first_paragraph(path: Path) -> str:
+    """How the docstring of a module begins, in one line. Raises `SystemExit` where the module is not."""
     if not path.is_file():
         raise SystemExit(
-            f"the map of the README names {path}, which is not there: put it right in tests/tools/house.py"
+            f"a document names {path}, which is not there: the map of the README stands in tests/tools/house.py"
         )
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    return " ".join(text.split("\n\n")[0].split()).replace("|", "&#124;")
+    return " ".join(text.split("\n\n")[0].split())

@@ -40,3 +40,16 @@ def test_what_the_project_asks_for_is_pinned() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     asked = {re.split(r"[><=]", name)[0].replace("_", "-").lower() for name in project["dependencies"]}
     assert asked <= pins((ROOT / "requirements.txt").read_text(encoding="utf-8")).keys()
+
+
+@pytest.mark.parametrize("name", ["release", "site"])
+def test_tools_of_their_own_environments_are_pinned_beside_our_versions(name: str) -> None:
+    """With what dealab itself is built by and runs with at the same versions, so that what is tried is what is given away."""
+    text = (ROOT / "requirements" / f"{name}.txt").read_text(encoding="utf-8")
+    assert all("--hash=sha256:" in entry for entry in re.split(r"\n(?=\S)", text.strip()))
+    assert "://" not in text
+    pinned, ours = pins(text), pins((ROOT / "requirements.txt").read_text(encoding="utf-8"))
+    asked = (ROOT / "requirements" / f"{name}.in").read_text(encoding="utf-8")
+    assert pins(asked).items() <= pinned.items(), "`make pins` was forgotten"
+    assert {n: v for n, v in pinned.items() if n in ours}.items() <= ours.items()
+    assert name == "release" or ours.items() <= pinned.items()
