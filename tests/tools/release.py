@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tarfile
@@ -20,7 +21,7 @@ from collections.abc import Callable, Iterator
 from hashlib import sha256
 from pathlib import Path
 
-from tests.tools import first_file
+from tests.tools import first_file, recipe
 
 ROOT = Path(__file__).resolve().parents[2]
 DIST = ROOT / "dist"
@@ -156,6 +157,7 @@ def check_installed(python: str, wheel: Path, folder: Path) -> Said:
     pages = len(list((place / "first-lab" / "reports").rglob("*.html")))
     yield pages > 1, f"and then: {', '.join(line.split()[1] for line in AFTER)}; {pages} pages"
     yield from check_writer(wheel, environment, place)
+    yield from check_recipe(python, version, place / "first", folder / "container")
 
 
 def check_writer(wheel: Path, full: Path, place: Path) -> Said:
@@ -174,6 +176,21 @@ def check_writer(wheel: Path, full: Path, place: Path) -> Said:
             f"the writer alone ({', '.join(name for name in names if name not in BROUGHT)}) writes what the whole reads; "
             f"{_measure(rig):.0f} MB installed, the whole {_measure(full):.0f} MB"
         ),
+    )
+
+
+def check_recipe(python: str, version: str, raw: Path, folder: Path) -> Said:
+    """What the container recipe builds, built in a folder: a night as the container runs it, and whether it calls itself healthy."""
+    environment = recipe.build_in(folder, python, version)
+    lab = str(folder / "lab")
+    variables = apart(environment) | {"NOW": "1", "RAW": str(raw), "LAB": lab}
+    night = first_file.run(f"{recipe.PACKAGING / 'every-night'} --jobs 1", folder, variables)
+    steps = recipe.list_steps(recipe.CONTAINERFILE.read_text(encoding="utf-8"))
+    asked = shlex.join(word.replace("/lab", lab) for word in recipe.healthcheck(steps))
+    health = first_file.run(asked, folder, variables)
+    yield (
+        "1 taken in" in night.said and "P-07" in health.said,
+        ("the container recipe's steps, done in a folder: a night takes the file in, and the health check passes"),
     )
 
 

@@ -32,7 +32,9 @@ from tests.tools.docs import PARTS, PICTURES, README, ROOT, SHOTS, renew
 
 LINES = 300
 """A README that is longer is not read."""
-DOCUMENTS = tuple(sorted({*PARTS, ".github/CONTRIBUTING.md", ".github/CHANGELOG.md"}))
+DOCUMENTS = tuple(
+    sorted({*PARTS, *(f".github/{name}.md" for name in ("CONTRIBUTING", "CHANGELOG", "packaging/README"))})
+)
 TEXTS = {name: (ROOT / name).read_text(encoding="utf-8") for name in DOCUMENTS}
 OURS = ("schemas", "ingest", "pipeline", "reports", "tests")
 
