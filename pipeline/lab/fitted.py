@@ -123,6 +123,7 @@ class FittedModel:
     def plot(self, axes: Any = None) -> Any:
         """Draws measured |k| with its standard error and the model with its 95 % band; returns the matplotlib axes."""
         import matplotlib.pyplot as plt
+        from matplotlib.ticker import LogLocator, NullFormatter
 
         axes = plt.figure(figsize=(5, 3.6), layout="constrained").gca() if axes is None else axes
         points = self._choose_points()
@@ -139,6 +140,10 @@ class FittedModel:
             model["frequency_hz"], model["magnitude"] - wide, model["magnitude"] + wide, color="#0069a8", alpha=0.2
         )
         axes.set(xscale="log", yscale="log", xlabel="Frequency, Hz")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(NullFormatter())
         axes.set_title(f"{self.specimen_id}: dynamic stiffness |k|, N/mm", loc="left", fontsize=10)
         axes.spines[["top", "right"]].set_visible(False)
         return axes

@@ -26,7 +26,7 @@ from tests.tools import first_file, recipe
 ROOT = Path(__file__).resolve().parents[2]
 DIST = ROOT / "dist"
 PACKAGES = ("schemas", "ingest", "pipeline", "reports")
-READ = (".md", ".png")
+READ = (".ipynb", ".md", ".png")
 """Endings of the files in our packages that people read and no program does."""
 RIG = "ingest/README.md"
 """The document that says how a rig's computer gets the writer alone."""

@@ -37,7 +37,9 @@ def test_what_is_not_code_and_runs_is_to_be_in_the_wheel(files: frozenset[str]) 
     inside = set(filter(release.runs, files))
     assert {"reports/style.css", "reports/templates/page.html.j2", "pipeline/simulate/campaigns/first.toml"} < inside
     assert {"schemas/published/mapping.schema.json", "reports/interactive.js", "dealab.py"} < inside
-    assert not {name for name in inside if name.startswith(("tests/", ".github/")) or name.endswith((".md", ".png"))}
+    assert not {
+        name for name in inside if name.startswith(("tests/", ".github/")) or name.endswith((".ipynb", ".md", ".png"))
+    }
 
 
 def test_what_is_missing_and_what_is_too_much_is_named(tmp_path: Path) -> None:
