@@ -23,6 +23,8 @@ from tests.tools import measured
 from tests.tools.first_file import shown
 from tests.tools.house import house_map
 from tests.tools.keys import channels, formats, mapping_keys, metadata_keys, rig_keys
+from tests.tools.licences import DOCUMENT as LICENCES
+from tests.tools.licences import write_licences
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
@@ -82,6 +84,7 @@ PARTS: Mapping[str, Mapping[str, Callable[[], str]]] = {
         "diagnosis study": functools.partial(study, "diagnosis"),
         "rules": write_table,
     },
+    LICENCES: {"licences": write_licences},
     "reports/README.md": {"thesis": table_of_the_thesis},
     "tests/README.md": {
         "benchmarks": measured.ratios,
