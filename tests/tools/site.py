@@ -139,7 +139,7 @@ class Layout:
     def _contents(self) -> str:
         """The order of all pages, at the end of the first."""
         names = [place(document).removesuffix(".md") for document in self.documents[1:]]
-        own = [name for name in names if name.endswith("README") or "/" not in name]
+        own = [name for name in names if name.endswith("/README") or not name.startswith("tests/")]
         lines = "\n".join([*own, "api/index"])
         rest = "\n".join(name for name in names if name not in own)
         return f"\n```{{toctree}}\n:hidden:\n\n{lines}\n```\n\n```{{toctree}}\n:hidden:\n:caption: Results\n\n{rest}\n```\n"
@@ -154,6 +154,7 @@ class Layout:
         title = f"``{module}``"
         lines = [title, "=" * len(title), "", f".. automodule:: {module}", "   :members:", ""]
         below = [name for name in self.modules if name.rpartition(".")[0] == module]
+        lines += [".. rubric:: Modules in it", ""] if below else []
         for name in below:
             short = name.rpartition(".")[2]
             link = f":doc:`{short} <{name}>`" if name in self.paged else f"``{short}``"
