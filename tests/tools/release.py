@@ -52,7 +52,8 @@ Said = Iterator[tuple[bool, str]]
 
 def list_files(root: Path) -> frozenset[str]:
     """Files of the project that git knows, from its top. Raises `subprocess.CalledProcessError` where there is no git."""
-    done = subprocess.run(["git", "ls-files", "-z"], cwd=root, capture_output=True, text=True, check=True)
+    words = ["git", "-c", f"safe.directory={root}", "ls-files", "-z"]  # also where the checkout is another user's
+    done = subprocess.run(words, cwd=root, capture_output=True, text=True, check=True)
     return frozenset(filter(None, done.stdout.split("\0")))
 
 
