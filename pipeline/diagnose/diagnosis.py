@@ -10,7 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.diagnose.faults.find import check_recordings
+from pipeline.diagnose.faults.another_film import Doubt, list_unexplained, weigh_doubts
+from pipeline.diagnose.faults.find import Checked, check_recordings
+from pipeline.diagnose.faults.fitted import fit_session
 from pipeline.diagnose.faults.state import state_faults
 from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.judge import judge_session
@@ -35,7 +37,7 @@ from pipeline.diagnose.search.held_out import predict_by_function, predict_left_
 from pipeline.diagnose.search.likelihood import measure_quiet
 from pipeline.diagnose.search.named_regions import name_regions
 from pipeline.diagnose.search.patterns import test_patterns
-from pipeline.diagnose.search.plain_fit import PlainFit, add_arm
+from pipeline.diagnose.search.plain_fit import PlainFit, begin_arm
 from pipeline.diagnose.search.posterior import (
     Hypothesis,
     Posterior,
@@ -54,7 +56,9 @@ from pipeline.diagnose.search.screen import (
 )
 from pipeline.diagnose.search.several_causes import add_causes, try_causes_of_form
 from pipeline.diagnose.search.tempering import temper_weights
+from pipeline.diagnose.simulation.parameters import BaseModel
 from schemas.arrays import Float
+from schemas.errors import NotIdentifiableError
 
 _FEW_STEPS = 3
 """Steps that bring a plain fit under the simulation of another film to its optimum."""
@@ -79,10 +83,12 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     # 0. and 1. Recordings first: one session of those that agree with each other and their own metadata, with its noise,
     # simulated with a film and the rig as its file has it.
     checked = check_recordings(recordings)
-    session, simulation, plain = checked.session, checked.simulation, checked.plain
     # 2. to 6. What is left, and which mechanisms explain it.
-    of = Extended(session, simulation, plain.model, (), np.ones(session.size))
-    evidence = _screen(of, plain.theta)[1] if checked.is_barred else _search_causes(of, plain)
+    evidence = _ask(checked)
+    # What misses the others and no cause explains may be of another film.
+    unexplained = list_unexplained(checked.doubts, checked.session, evidence)
+    if unexplained:
+        checked, evidence = _ask_without(unexplained, checked, evidence)
     # 7. The verdict, and 8. parts are left out and predicted: with the named causes, or the function of what has no name.
     verdict = judge_session(evidence)
     final = None if verdict == UNKNOWN else evidence.final
@@ -95,8 +101,29 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     proposal = _propose_recording(evidence) if verdict == AMBIGUOUS and not evidence.is_unnamed else None
     # 10. Numbers and words.
     extended = None if final is None else settle_outliers(final)
-    found = report_session(simulation, evidence, verdict, held_out, extended, proposal)
+    found = report_session(checked.simulation, evidence, verdict, held_out, extended, proposal)
     return state_faults(found, checked.faults)
+
+
+def _ask(checked: Checked) -> Evidence:
+    """Steps 2 to 6; where a fault bars all causes only what there is is seen."""
+    session, plain = checked.session, checked.plain
+    of = Extended(session, checked.simulation, plain.model, (), np.ones(session.size))
+    return _screen(of, plain.theta)[1] if checked.is_barred else _search_causes(of, plain)
+
+
+def _ask_without(doubts: Sequence[Doubt], checked: Checked, evidence: Evidence) -> tuple[Checked, Evidence]:
+    """The session without recordings that may be of another film, where that is the more probable; with what that says of them."""
+    names = {d.recording_id for d in doubts}
+    try:
+        rest = fit_session([r for r in checked.session.recordings if r.recording_id not in names])
+    except NotIdentifiableError:
+        return checked, evidence
+    without = _ask(Checked(*rest, checked.faults))
+    faults = weigh_doubts(doubts, checked.session, evidence, without)
+    if any(f.sets_aside for f in faults):
+        return Checked(*rest, (*checked.faults, *faults)), without
+    return replace(checked, faults=(*checked.faults, *faults)), evidence
 
 
 def _search_causes(of: Extended, plain: PlainFit) -> Evidence:
@@ -110,8 +137,8 @@ def _search_causes(of: Extended, plain: PlainFit) -> Evidence:
         with_arm = _take_up_arm(evidence)
         if with_arm is not None:
             # The mechanical tests alone know nothing of this arm.
-            start, mechanical = with_arm.theta, None
-            of = replace(of, model=with_arm.model, simulation=of.simulation.about(with_arm.model.physical(start)))
+            (model, start), mechanical = with_arm, None
+            of = replace(of, model=model, simulation=of.simulation.about(model.physical(start)))
             continue
         better = _find_better_plain(evidence)
         if better is None:
@@ -266,28 +293,26 @@ def _find_better_plain(evidence: Evidence) -> Float | None:
     return best.theta if best.chi2 < plain.chi2 - rules.restart_chi2 else None
 
 
-def _take_up_arm(evidence: Evidence) -> PlainFit | None:
-    """The plain model with one more arm, where that does as well as the relaxation that is said to be missing.
+def _take_up_arm(evidence: Evidence) -> tuple[BaseModel, Float] | None:
+    """The plain model with one more arm, and its entries, where that does as well as the relaxation that is said to be missing.
 
-    The order is chosen on the mechanical responses: where these are few, other tests may show an arm that it may well have.
+    The order is chosen on the mechanical responses to the plain model: where these are few, or another cause bends them, the film may well
+    have an arm more.
     """
     final = evidence.final
-    if final is None or len(final.of.chosen) != 1 or final.of.chosen[0].mechanism.as_arm is None:
+    arms = [] if final is None else [i for i, c in enumerate(final.of.chosen) if c.mechanism.as_arm is not None]
+    if final is None or len(arms) != 1:
         return None
-    session, values, noise_fit = final.of.session, final.values[0], evidence.noise_fit
-    found = add_arm(
-        session,
-        noise_fit.of.simulation,
-        noise_fit.of.model,
-        final.theta,
-        values["stiffness_ratio"],
-        values["time_constant_s"],
-    )
-    if found is None:
+    of, values = final.of, final.values[arms[0]]
+    start = begin_arm(of.session, of.model, final.theta, values["stiffness_ratio"], values["time_constant_s"])
+    if start is None:
         return None
-    left = session.whiten(session.value - final.of.predict(final.x))
-    worth = RULES.plain.arm_worth * max(1.0, found.chi2 / max(session.size - found.theta.size, 1))
-    return found if found.chi2 < float(left @ left) + worth else None
+    model, theta = start
+    beside = [c.owner != arms[0] for c in of.coordinates]
+    others = replace(of, model=model, chosen=tuple(c for i, c in enumerate(of.chosen) if i != arms[0]))
+    found = others.fit(np.concatenate([theta, final.x[of.model.size :][beside]]))
+    worth = RULES.plain.arm_worth * max(1.0, found.chi2 / max(of.session.size - found.x.size, 1))
+    return (model, found.theta) if found.chi2 < final.chi2 + worth else None
 
 
 def _propose_recording(evidence: Evidence) -> NextRecording | None:

@@ -388,6 +388,12 @@ class FaultRules:
     mechanism_scale: float = _rule(
         0.3, "logarithm of the factor by which a mechanism usually changes a recording's response", unit="SD"
     )
+    foreign_scale: float = _rule(
+        0.7,
+        "the same of another film: of other thickness, width or material",
+        "films of one laboratory, not counted",
+        "SD",
+    )
     mechanism: float = _rule(0.2, "probability of a mechanism that shows in a recording like which there is no other")
     mechanism_beside_peer: float = _rule(1e-4, "the same where another recording like it agrees with all others")
     off: float = _rule(

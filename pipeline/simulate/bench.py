@@ -73,6 +73,27 @@ class Softening:
 
 
 @dataclass(frozen=True)
+class Slip:
+    """A film end that friction holds in its clamp, until the film is pulled `holds_mm` from where it last held.
+
+    Of what goes beyond, `share` is slip: the play operator (Prandtl), which turns back with the same play.
+    """
+
+    holds_mm: float
+    share: float
+
+    def felt(self, displacement_mm: Float) -> Float:
+        """What the film feels of a displacement of the driven end: (n,) mm."""
+        slipped, path = 0.0, displacement_mm - displacement_mm[0]
+        followed = np.empty_like(path)
+        # Each step needs the one before; plain floats are quickest here.
+        for i, moved in enumerate(path.tolist()):
+            slipped = min(max(slipped, moved - self.holds_mm), moved + self.holds_mm)
+            followed[i] = slipped
+        return np.asarray(displacement_mm - self.share * followed)
+
+
+@dataclass(frozen=True)
 class Film:
     """A film as the rig feels it.
 
@@ -89,6 +110,7 @@ class Film:
     permittivity_per_kv2, permittivity_time_s : change of the permittivity under a field, as a share per kV², and its
         time constant in s
     softening : how the film softens with its swing; None: not at all
+    slip : how it slips in its clamp; None: not at all
     """
 
     parts: tuple[RelaxationModel, ...] = ()
@@ -102,6 +124,7 @@ class Film:
     permittivity_per_kv2: float = 0.0
     permittivity_time_s: float = 1.0
     softening: Softening | None = None
+    slip: Slip | None = None
 
     def parts_in(self, displacement_mm: Float | None) -> tuple[RelaxationModel, ...]:
         """The parts as they are in a test with that displacement (n,), None where nothing is moved."""
@@ -180,6 +203,8 @@ class Bench:
     def _move(self, signals: Signals) -> Signals:
         inputs = [signals.values.get("displacement"), signals.values.get("actuation")]
         film = replace(self.film, parts=self.film.parts_in(inputs[0]))
+        if film.slip is not None and inputs[0] is not None:
+            inputs[0] = film.slip.felt(inputs[0])
         outputs = integrate(replace(self, film=film).equations(), inputs, signals.interval_s)
         moved = signals.with_values(force=self.film.pretension_n + outputs[0])
         if self.film.sensing is None:

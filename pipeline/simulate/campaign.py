@@ -112,8 +112,9 @@ def simulate_one(campaign: Campaign, planned: Planned, controller: Controller | 
 
 def _metadata(campaign: Campaign, planned: Planned) -> RecordingMetadata:
     subject = {"specimen_id": f"{planned.rig.name}-clamp", "rig_id": planned.rig.name}
-    if planned.specimen is not None:
-        subject = planned.specimen.metadata()
+    named = planned.label or planned.specimen
+    if named is not None:
+        subject = named.metadata()
     values = {
         **subject,
         "recording_id": planned.recording_id,

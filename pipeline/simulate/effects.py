@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.simulate.bench import Bench, Signals, Softening, Stage
+from pipeline.simulate.bench import Bench, Signals, Slip, Softening, Stage
 from pipeline.simulate.sensors import delayed
 from pipeline.simulate.tables import choice, flag, number, parse
 
@@ -152,6 +152,18 @@ def _amplitude_softening(bench: Bench, values: AmplitudeSoftening, rng: np.rando
 
 
 @dataclass(frozen=True, kw_only=True)
+class ClampSlip:
+    """The film slips in its clamp where it is pulled farther than `holds_mm` from where it began: of what goes beyond, `share` is lost."""
+
+    holds_mm: float = number(above=0)
+    share: float = number(above=0, at_most=1)
+
+
+def _clamp_slip(bench: Bench, values: ClampSlip, rng: np.random.Generator) -> Bench:
+    return replace(bench, film=replace(bench.film, slip=Slip(values.holds_mm, values.share)))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Wrinkling:
     """Above `onset_kv` the actuation grows no more, and it lets go late: with `delay_s` for a voltage of twice the onset."""
 
@@ -236,6 +248,7 @@ _ALL = (
     Effect("mains_hum", MainsHum, _mains_hum),
     Effect("baseline_drift", BaselineDrift, _baseline_drift),
     Effect("amplitude_softening", AmplitudeSoftening, _amplitude_softening),
+    Effect("clamp_slip", ClampSlip, _clamp_slip),
     Effect("wrinkling", Wrinkling, _wrinkling),
     Effect("electrode_degradation", ElectrodeDegradation, _electrode_degradation),
 )

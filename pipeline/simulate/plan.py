@@ -23,11 +23,12 @@
     id = "{specimen}-chirp-{amplitude_mm}" braces hold a parameter, specimen, rig, test or n (number within the entry)
     sample_rate_hz = 2000                  of all channels of this test
     format = "mcap"                        or csv; folder: where the file goes (the specimen's name)
+    night = 2                              the night before which it is recorded (1)
     [recordings.vary]                      every combination of these
     amplitude_mm = [0.5, 1.0]
     [[lifetimes]]                          a group (see `lifetime.LifetimeGroup`) with its [lifetimes.specimen]
     [[mishaps]]                            what went wrong with a file: recording and
-    kind = "truncated"                     truncated (share), missing_key (key), duplicate, and for CSV files
+    kind = "truncated"                     truncated (share), missing_key (key), duplicate, mislabelled (specimen), and for CSV files
                                            wrong_unit (quantity, unit; in the TOML) and unmapped (no TOML at all)
 
 Does not belong here: simulating what is planned, which `campaign` does.
@@ -53,7 +54,7 @@ from pipeline.simulate.rigs import RigSetup, read_rig
 from pipeline.simulate.self_sensing import ClosedLoop
 from pipeline.simulate.sensors import Sensor, random_stream
 from pipeline.simulate.specimen import GEOMETRY, Deviations, Material, Specimen, checked_geometry
-from pipeline.simulate.tables import choice, known_only, number, parse, shown, subtable, subtables, text
+from pipeline.simulate.tables import choice, known_only, number, parse, shown, subtable, subtables, text, whole
 from schemas.errors import UsageError
 from schemas.metadata import RECORDING_ID, instant
 from schemas.quantities import QUANTITIES
@@ -78,7 +79,7 @@ _TOP = (
     "name", "seed", "started_at", "pause_s", "operator", "notes",
     "noise", "rigs", "materials", "specimens", "recordings", "lifetimes", "mishaps",
 )  # fmt: skip
-_ENTRY = ("test", "specimens", "rigs", "id", "sample_rate_hz", "format", "folder", "notes", "vary")
+_ENTRY = ("test", "specimens", "rigs", "id", "sample_rate_hz", "format", "folder", "night", "notes", "vary")
 REQUIRED_KEYS = ("recording_id", "protocol", "loading", "specimen_id", "started_at")
 _FIELD = re.compile(r"\{(\w+)\}")
 PACKAGED = Path(__file__).parent / "campaigns"
@@ -89,16 +90,17 @@ class Mishap:
     """What happens to the file of a recording after the test."""
 
     recording: str = text()
-    kind: str = choice("truncated", "wrong_unit", "missing_key", "duplicate", "unmapped")
+    kind: str = choice("truncated", "wrong_unit", "missing_key", "duplicate", "mislabelled", "unmapped")
     share: float = number(0.6, above=0, at_most=1)
     quantity: str = text("force")
     unit: str = text("mm")
     key: str = text("specimen_id")
+    specimen: str = text("")
 
 
 @dataclass(frozen=True)
 class Planned:
-    """One recording to be made. `specimen` is None for calibrations."""
+    """One recording to be made. `specimen` is None for calibrations; `label` is the specimen that the file names by mistake, if any."""
 
     recording_id: str
     procedure: Procedure
@@ -109,6 +111,8 @@ class Planned:
     format: str
     folder: str
     notes: str | None
+    night: int
+    label: Specimen | None = None
 
 
 @dataclass(frozen=True)
@@ -188,16 +192,24 @@ def read_campaign(table: Mapping[str, Any], *, where: str = "campaign") -> Campa
     if not drafts:
         raise UsageError("the campaign has no recordings", where=where, expected="[[recordings]] or [[lifetimes]]")
     planned: dict[str, Planned] = {}
+    clocks: dict[int, datetime] = {}
     for draft in drafts:
         if draft.recording_id in planned:
             raise UsageError(
                 f'the id "{draft.recording_id}" occurs twice', where=where, expected="a varied parameter or {n} in id"
             )
-        planned[draft.recording_id] = replace(draft, started_at=clock)
-        clock += timedelta(seconds=math.ceil(draft.procedure.duration_s + head.pause_s))
+        # What is recorded before another night begins with another day.
+        started_at = clocks.setdefault(draft.night, clock + timedelta(days=draft.night - 1))
+        planned[draft.recording_id] = replace(draft, started_at=started_at)
+        clocks[draft.night] += timedelta(seconds=math.ceil(draft.procedure.duration_s + head.pause_s))
     mishaps = tuple(
-        _mishap(entry, planned, f"{where}: mishaps[{i}]") for i, entry in enumerate(subtables(table, "mishaps", where))
+        _mishap(entry, planned, specimens, f"{where}: mishaps[{i}]")
+        for i, entry in enumerate(subtables(table, "mishaps", where))
     )
+    for mishap in mishaps:
+        if mishap.kind == "mislabelled":
+            label = specimens[mishap.specimen]
+            planned[mishap.recording] = replace(planned[mishap.recording], label=label, folder=label.name)
     return Campaign(head.name, head.seed, head.operator, rigs, specimens, tuple(planned.values()), mishaps)
 
 
@@ -306,7 +318,9 @@ class _Reader:
         where: str,
     ) -> Planned:
         own = parse(
-            _Entry, {k: table[k] for k in ("id", "sample_rate_hz", "format", "folder", "notes") if k in table}, where
+            _Entry,
+            {k: table[k] for k in ("id", "sample_rate_hz", "format", "folder", "night", "notes") if k in table},
+            where,
         )
         recording_id = _FIELD.sub(lambda m: _filled(m.group(1), names, where), own.id)
         if not RECORDING_ID.fullmatch(recording_id):
@@ -343,6 +357,7 @@ class _Reader:
             own.format,
             folder,
             own.notes,
+            own.night,
         )
 
     def group(self, table: Mapping[str, Any], where: str) -> tuple[dict[str, Specimen], list[Planned]]:
@@ -370,6 +385,7 @@ class _Entry:
     sample_rate_hz: float | None = number(None, above=0)
     format: str = choice("mcap", "csv", default="mcap")
     folder: str | None = text(None)
+    night: int = whole(1)
     notes: str | None = text(None)
 
 
@@ -380,7 +396,9 @@ def _filled(name: str, names: Mapping[str, Any], where: str) -> str:
     return value if isinstance(value, str) else f"{value:g}"
 
 
-def _mishap(entry: Mapping[str, Any], planned: Mapping[str, Planned], where: str) -> Mishap:
+def _mishap(
+    entry: Mapping[str, Any], planned: Mapping[str, Planned], specimens: Mapping[str, Specimen], where: str
+) -> Mishap:
     mishap = parse(Mishap, entry, where)
     if mishap.recording not in planned:
         raise UsageError(f'recording "{mishap.recording}" is not in the campaign', where=where)
@@ -391,4 +409,10 @@ def _mishap(entry: Mapping[str, Any], planned: Mapping[str, Planned], where: str
         raise UsageError(f"key is {shown(mishap.key)}", where=where, expected="one of " + ", ".join(REQUIRED_KEYS))
     if mishap.kind == "wrong_unit" and mishap.quantity not in draft.sensors:
         raise UsageError(f"the recording has no {mishap.quantity}", where=where, expected=", ".join(draft.sensors))
+    if mishap.kind == "mislabelled" and (draft.specimen is None or mishap.specimen not in specimens):
+        raise UsageError(
+            f"a recording of {draft.specimen.name if draft.specimen else draft.rig.name} cannot be filed under {shown(mishap.specimen)}",
+            where=where,
+            expected="a recording of a specimen, and another specimen of the campaign",
+        )
     return mishap

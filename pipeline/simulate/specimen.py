@@ -110,6 +110,7 @@ class Deviations:
     permittivity_time_s: float = number(100.0, above=0)
     rest_capacitance_pf: float | None = number(None, above=0)
     rest_before_s: float | None = number(None, at_least=0)
+    batch: str | None = text(None)
     notes: str | None = text(None)
 
 
@@ -145,6 +146,8 @@ class Specimen:
         """What the recordings say about the specimen."""
         values: dict[str, Any] = {"specimen_id": self.name, "material": self.material_name, "rig_id": self.rig_name}
         values |= self.geometry
+        if self.deviations.batch is not None:
+            values["batch"] = self.deviations.batch
         if self.deviations.rest_before_s is not None:
             values["rest_before_s"] = self.deviations.rest_before_s
         if self.deviations.constrained_length_mm:

@@ -3,7 +3,7 @@ the force is large, in another range."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from pipeline.diagnose.faults import fault as ids
 from pipeline.diagnose.faults.agreement import agrees, count_chi2, measure_left
 from pipeline.diagnose.faults.correct import write
 from pipeline.diagnose.faults.fault import Correction, Fault
+from pipeline.diagnose.faults.fitted import fit_session
 from pipeline.diagnose.faults.levels import log_likelihood_of
 from pipeline.diagnose.faults.undo import scale_of
 from pipeline.diagnose.features.observed import FORCE_SWING
@@ -23,6 +24,7 @@ from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import minimise
 from schemas.arrays import Bool, Float
+from schemas.errors import NotIdentifiableError
 from schemas.numbers import significant
 from schemas.protocols import CALIBRATION, ELECTRICAL
 
@@ -88,6 +90,45 @@ def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: f
     if part.of_range:
         return _state_range(session, part.members, fits[GAIN_ERROR.id][1], left)
     return _state_change(session, int(np.argmax(part.members)), fits, nearest, left)
+
+
+def merge_foreign(found: Sequence[Fault], session: Session) -> list[Fault]:
+    """Faults with those of foreign recordings as one where they are all of one film, and all that were made before, or from, one recording:
+    the specimen was another from there on.
+
+    Parameters
+    ----------
+    session : with all recordings, in the order of time
+    """
+    foreign = [f for f in found if f.cause == ids.FOREIGN_RECORDING]
+    names = {id for f in foreign for id in f.recordings}
+    tests = [r for r in session.recordings if r.loading != CALIBRATION]
+    is_foreign = np.array([r.recording_id in names for r in tests])
+    turns = np.flatnonzero(np.diff(is_foreign)) + 1
+    if len(names) < _FEWEST or turns.size != 1:
+        return list(found)
+    try:
+        together, _, fit = fit_session([r for r in tests if r.recording_id in names])
+    except NotIdentifiableError:
+        return list(found)
+    left = measure_left(together, count_chi2(together, fit.misfit))
+    if left > RULES.fault.agrees:
+        return list(found)
+    changed = tests[turns[0] :]
+    probability = min(f.probability for f in foreign)
+    corrections = tuple(
+        Correction(r.recording_id, ids.SPECIMEN_CHANGED, "specimen_id", r.specimen_id, "", probability) for r in changed
+    )
+    words = f"from {changed[0].recording_id} on the film is not that of before"
+    change = Fault(
+        ids.SPECIMEN_CHANGED,
+        tuple(r.recording_id for r in changed),
+        probability,
+        words,
+        corrections,
+        left_per_value=left,
+    )
+    return [f for f in found if f.cause != ids.FOREIGN_RECORDING] + [change]
 
 
 def _state_range(session: Session, members: Bool, log_factor: float, left: float) -> Fault:

@@ -19,7 +19,8 @@ from pipeline.diagnose.faults.agreement import (
     refit_rest,
     sum_by_recording,
 )
-from pipeline.diagnose.faults.change import find_change
+from pipeline.diagnose.faults.another_film import Doubt, doubt_film
+from pipeline.diagnose.faults.change import find_change, merge_foreign
 from pipeline.diagnose.faults.clock import find_late
 from pipeline.diagnose.faults.correct import list_corrections
 from pipeline.diagnose.faults.fault import DEAD_CHANNEL, STRAIN_WRONG, Fault
@@ -58,12 +59,18 @@ _EVIDENT = Mechanisms(0.25, as_film=0.25, as_scale=0.25, as_delay=0.25)
 
 @dataclass(frozen=True)
 class Checked:
-    """A session whose recordings are sound, or as sound as can be told, with its plain fit, and the faults that were found."""
+    """A session whose recordings are sound, or as sound as can be told, with its plain fit, and the faults that were found.
+
+    Parameters
+    ----------
+    doubts : recordings in the session that may be those of another film, or show what a mechanism does to this one
+    """
 
     session: Session
     simulation: Simulation
     plain: PlainFit
     faults: tuple[Fault, ...]
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def is_barred(self) -> bool:
@@ -114,15 +121,17 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
         if change is not None:
             found.append(change)
             odd, outside, agreement = odd - frozenset(change.recordings), frozenset(), None
+    doubts: list[Doubt] = []
     if odd or outside:
-        found += _judge_each(recordings, levels, fitted, agreement, odd, outside)
+        faults, doubts = _judge_each(recordings, levels, fitted, agreement, odd, outside)
+        found = merge_foreign([*found, *faults], assemble_session(recordings) if suspects else fitted[0])
     culprits = frozenset(id for f in found for id in f.recordings if f.sets_aside)
     if culprits != {r.recording_id for r in recordings} - {r.recording_id for r in fitted[0].recordings}:
         fitted = _fit(recordings, culprits, near=fitted[2]) or fitted
     if not culprits:
         sizes = find_wrong_sizes(fitted)
         found += [] if sizes is None else [sizes]
-    return Checked(*fitted, tuple(merge_lengths(found)))
+    return Checked(*fitted, tuple(merge_lengths(found)), tuple(doubts))
 
 
 def _read(recordings: Sequence[RecordingFeatures]) -> Sequence[Levels]:
@@ -188,8 +197,9 @@ def _judge_each(
     agreement: Agreement | None,
     suspects: frozenset[str],
     outside: frozenset[str],
-) -> list[Fault]:
-    """Faults of single recordings: of those whose levels are odd, and of those that miss the film the others agree on."""
+) -> tuple[list[Fault], list[Doubt]]:
+    """Faults of single recordings: of those whose levels are odd, and of those that miss the film the others agree on; and what of the
+    latter may be of another film."""
     session, simulation, plain = first
     before = measure_left(session, count_chi2(session, plain.misfit))
     base, dispersion = plain, before
@@ -203,6 +213,7 @@ def _judge_each(
     whole = assemble_session(recordings) if suspects else session
     asked = suspects | outside
     told: dict[tuple[int, ...], Fault] = {}
+    doubts: dict[str, Doubt] = {}
 
     def judge(numbers: Sequence[int], judged: Callable[[Suspect], Fault | None]) -> None:
         """Judges recordings and keeps their fault."""
@@ -210,6 +221,10 @@ def _judge_each(
         fault = judged(suspect)
         if fault is not None:
             told[tuple(numbers)] = fault
+        elif len(numbers) == 1 and whole.recordings[numbers[0]].recording_id in outside:
+            doubt = doubt_film(suspect)
+            if doubt is not None:
+                doubts[doubt.recording_id] = doubt
 
     for numbers in _list_alike(whole, asked):
         judge(numbers, partial(judge_together, numbers=numbers, levels=levels))
@@ -220,14 +235,16 @@ def _judge_each(
         elif recording.recording_id in asked - together:
             judge((number,), partial(_judge_one, levels=levels[recording.recording_id], asked=asked))
     if outside - {id for f in told.values() for id in f.recordings}:
-        # Of what is left no fault is the reason. A mechanism is, and the others have it as well.
+        # Of what is left no fault is the reason. A mechanism is, and the others have it as well, but where a recording like theirs has not.
         before_that, told = dict(told), {}
+        peers = [r for r in whole.recordings if r.recording_id not in asked]
         for numbers, fault in before_that.items():
-            if whole.recordings[numbers[0]].blocks:
+            own = whole.recordings[numbers[0]]
+            if own.blocks and not _has_peer(own, peers):
                 judge(numbers, partial(judge_together, numbers=numbers, levels=levels, mechanisms=_EVIDENT))
             else:
                 told[numbers] = fault
-    return list(told.values())
+    return list(told.values()), list(doubts.values())
 
 
 def _list_alike(session: Session, asked: frozenset[str]) -> list[tuple[int, ...]]:

@@ -21,6 +21,8 @@ from schemas.numbers import significant
 
 SOUND, MECHANISM = "", "mechanism"
 """What is no fault: the recording is as it should be; the film or the rig does there what the plain model does not."""
+ANOTHER_FILM = "its film is not that of the others"
+"""What is said of a foreign recording."""
 _POUND_FORCE, _EFFECTIVE = 4.4482216, 2.0**0.5
 """N of a pound-force; amplitude over effective value of a sinusoid."""
 _FORCE_SLIPS = (
@@ -119,12 +121,13 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanisms: Mechanisms) ->
     else:
         yield Hypothesis(SOUND, "", lambda: suspect.sound, 0.0)
     yield Hypothesis(MECHANISM, "", None, 0.0)
+    size = _weigh_size(suspect, suspect.sound, RULES.fault.mechanism_scale)
     for probability, free, own_chi2 in (
         (mechanisms.as_film, _OF_FILM, lambda: suspect.own_film_chi2),
         (mechanisms.as_scale, 1, lambda: suspect.scaled_film_chi2),
     ):
         if probability > 0:
-            yield Hypothesis(MECHANISM, "", None, float(np.log(probability)), free, own_chi2=own_chi2)
+            yield Hypothesis(MECHANISM, "", None, float(np.log(probability)) + size, free, own_chi2=own_chi2)
     yield from _scales(suspect, prior)
     yield from _delays(suspect, prior, mechanisms.as_delay)
     yield from _stretches(suspect, levels, prior)
@@ -180,10 +183,11 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanisms: Mechanisms) ->
     own = frozenset({TENSION, SENSED, NOISE + "force", NOISE + "displacement", NOISE + "voltage"})
     # Of another rig it may show anything; of the same one it shows a film, and perhaps the same noise.
     elsewhere = levels.own_rig or levels.foreign
+    size = 0.0 if elsewhere else _weigh_size(suspect, suspect.sound, RULES.fault.foreign_scale)
     yield Hypothesis(
         ids.FOREIGN_RECORDING,
-        "its film is not that of the others",
-        None, prior, _OF_FILM, open_levels=own if elsewhere else frozenset(), may_open=frozenset() if elsewhere else own,
+        ANOTHER_FILM,
+        None, prior + size, _OF_FILM, open_levels=own if elsewhere else frozenset(), may_open=frozenset() if elsewhere else own,
         own_chi2=None if elsewhere else lambda: suspect.own_film_chi2, shows=frozenset({"foreign", "rig"}),
     )  # fmt: skip
 
@@ -298,15 +302,38 @@ def _weigh_mechanism(suspect: Suspect, predicted: Prediction, chi2: float, mecha
     It is known by no more than how often it is there, that it is smooth, so that a few modes make it up, each as likely to be large as
     another, and that it does not change the response by much.
     """
-    scale = suspect.measure_scale(predicted)
-    if scale <= _NOTHING_LEFT:
-        common = float(np.log(RULES.fault.unmistakable))
-    else:
-        common = log_likelihood_of(float(np.log(scale)) / RULES.fault.mechanism_scale)
+    common = _weigh_size(suspect, predicted, RULES.fault.mechanism_scale)
     modes = RULES.form.modes
     excess = max(suspect.temper(chi2) - suspect.temper(suspect.size), 2.0)
     spread = 0.5 * modes * float(np.log1p(excess / modes))
     return float(np.log(mechanism)) - 0.5 * suspect.temper(suspect.size) - spread + common
+
+
+def _weigh_size(suspect: Suspect, predicted: Prediction, usual: float) -> float:
+    """Log likelihood of how large a recording's features are over those predicted, less that of a mechanism that changes nothing.
+
+    Parameters
+    ----------
+    usual : logarithm of the factor that is usual
+    """
+    scale = suspect.measure_scale(predicted)
+    if scale <= _NOTHING_LEFT:
+        return float(np.log(RULES.fault.unmistakable))
+    return log_likelihood_of(float(np.log(scale)) / usual) - float(np.log(usual / RULES.fault.mechanism_scale))
+
+
+def _weigh_parameter(suspect: Suspect) -> float:
+    """What the data take off the log probability of a hypothesis for each of its free parameters: half the logarithm of how much better
+    they know it than beforehand."""
+    if not suspect.size:
+        return 0.5 * float(np.log(2.0))
+    return 0.5 * float(np.log(max(suspect.temper(suspect.sound_chi2) - suspect.temper(suspect.size), 2.0)))
+
+
+def weigh_another_film(suspect: Suspect) -> float:
+    """Log probability, beforehand, that a recording is of another film, less what that film's free parameters take off it."""
+    size = _weigh_size(suspect, suspect.sound, RULES.fault.foreign_scale)
+    return float(np.log(RULES.fault.prior)) + size - _OF_FILM * _weigh_parameter(suspect)
 
 
 def _measure_chi2(suspect: Suspect, hypothesis: Hypothesis, predicted: Prediction | None) -> float:
@@ -327,7 +354,6 @@ def judge_hypotheses(
     mechanisms : what is believed of those that may show there
     """
     rules, judged = RULES.fault, []
-    fall = max(suspect.temper(suspect.sound_chi2) - suspect.temper(suspect.size), 1.0) if suspect.size else 1.0
     seen = {
         "flat": levels.flat > rules.flat,
         "held": max(levels.held.values(), default=0.0) > rules.held,
@@ -339,7 +365,7 @@ def judge_hypotheses(
         if h.predict is not None and predicted is None:
             continue
         chi2 = _measure_chi2(suspect, h, predicted)
-        total = h.log_prior - 0.5 * h.free * float(np.log(max(fall, 2.0)))
+        total = h.log_prior - h.free * _weigh_parameter(suspect)
         if h.cause == MECHANISM and h.predict is None and h.own_chi2 is None:
             total += _weigh_mechanism(suspect, suspect.sound, suspect.sound_chi2, mechanisms.any_way)
         elif predicted is None or h.cause == SOUND:

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from scipy.special import logsumexp
+
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.patterns import Patterns
-from pipeline.diagnose.search.posterior import PLAIN, Hypothesis, Posterior, RegionFit
+from pipeline.diagnose.search.posterior import PLAIN, Hypothesis, Posterior, RegionFit, weigh_fit
 from pipeline.diagnose.search.screen import Signatures
 from schemas.arrays import Float
 
@@ -53,6 +55,13 @@ class Evidence:
     def best(self) -> Hypothesis | None:
         """The most probable hypothesis of listed causes; None where the plain model is more probable."""
         return None if self.posterior is None else find_best(self.posterior)
+
+    @property
+    def log_evidence(self) -> float:
+        """Of the session, under all hypotheses together."""
+        if self.posterior is None:
+            return weigh_fit(self.noise_fit, noise_alone=True).log_joint
+        return float(logsumexp([h.log_joint for h in self.posterior.hypotheses]))
 
     @property
     def is_unnamed(self) -> bool:

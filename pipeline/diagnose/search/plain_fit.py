@@ -162,10 +162,11 @@ def _add_arms_that_suffice(session: Session, simulation: Simulation, found: Plai
     return best if best.chi2 < enough and found.chi2 - best.chi2 > worth else found
 
 
-def add_arm(
-    session: Session, simulation: Simulation, model: BaseModel, theta: Float, ratio: float, time_s: float
-) -> PlainFit | None:
-    """The optimum with one more arm than `model` has at entries theta (P,); None where it has as many as the plain model may have.
+def begin_arm(
+    session: Session, model: BaseModel, theta: Float, ratio: float, time_s: float
+) -> tuple[BaseModel, Float] | None:
+    """The plain model with one more arm than `model` has at entries theta (P,), and where its search begins; None where it has as many as
+    the plain model may have.
 
     The arm begins with a stiffness of `ratio` times that at rest, and relaxes in `time_s`.
     """
@@ -176,7 +177,7 @@ def add_arm(
     arms = sorted([*zip(film.tau, film.k, strict=True), (time_s, ratio * film.k0)], reverse=True)
     start = more.theta(RelaxationModel(film.k0, tuple(k for _, k in arms), tuple(t for t, _ in arms), 0.0))
     start[more.film.stop :] = theta[model.film.stop :]
-    return refit_plain(session, simulation, more, start)
+    return more, start
 
 
 def _make_model_like(session: Session, model: BaseModel, arms: int) -> BaseModel:
