@@ -36,11 +36,13 @@ from pipeline.diagnose.search.form_functions import allow_form_errors, different
 from pipeline.diagnose.search.held_out import predict_by_function, predict_left_out
 from pipeline.diagnose.search.likelihood import measure_quiet
 from pipeline.diagnose.search.named_regions import name_regions
+from pipeline.diagnose.search.order import take_up_arm
 from pipeline.diagnose.search.patterns import test_patterns
-from pipeline.diagnose.search.plain_fit import PlainFit, begin_arm
+from pipeline.diagnose.search.plain_fit import PlainFit
 from pipeline.diagnose.search.posterior import (
     Hypothesis,
     Posterior,
+    rank_hypotheses,
     refit_under,
     settle_hypotheses,
     settle_hypothesis,
@@ -56,7 +58,6 @@ from pipeline.diagnose.search.screen import (
 )
 from pipeline.diagnose.search.several_causes import add_causes, try_causes_of_form
 from pipeline.diagnose.search.tempering import temper_weights
-from pipeline.diagnose.simulation.parameters import BaseModel
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 
@@ -131,20 +132,19 @@ def _search_causes(of: Extended, plain: PlainFit) -> Evidence:
     start, mechanical = plain.theta, plain.mechanical
     of = replace(of, simulation=of.simulation.about(of.model.physical(start)))
     earlier: Sequence[Hypothesis] = ()
-    for _ in range(RULES.plain.restarts):
+    restarts = 0
+    while True:
         evidence = _search_from(of, start, mechanical, earlier)
-        earlier = _list_close_causes(evidence)
-        with_arm = _take_up_arm(evidence)
-        if with_arm is not None:
+        if evidence.with_arm is not None:
             # The mechanical tests alone know nothing of this arm.
-            (model, start), mechanical = with_arm, None
+            (model, start), mechanical = evidence.with_arm, None
             of = replace(of, model=model, simulation=of.simulation.about(model.physical(start)))
             continue
-        better = _find_better_plain(evidence)
+        earlier, restarts = _list_close_causes(evidence), restarts + 1
+        better = _find_better_plain(evidence) if restarts < RULES.plain.restarts else None
         if better is None:
-            break
+            return evidence
         start = better
-    return evidence
 
 
 def _list_close_causes(evidence: Evidence) -> Sequence[Hypothesis]:
@@ -210,6 +210,9 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
     of_given = [] if lag is None else [given_agreed]
     hypotheses = settle_hypotheses([*of_given, *map(weigh_fit, fitted), *from_consensus, *kept])
     hypotheses += add_causes(hypotheses, beside)
+    with_arm = take_up_arm(refit_under(plain, rank_hypotheses(hypotheses)[0])) if hypotheses else None
+    if with_arm is not None:
+        return replace(nothing, p_value=p_value, with_arm=with_arm)
     noise = max(
         (settle_hypothesis(weigh_fit(f, noise_alone=True)) for f in (noise_fit, agreed.model)),
         key=lambda h: h.log_evidence,
@@ -291,28 +294,6 @@ def _find_better_plain(evidence: Evidence) -> Float | None:
         return None
     best = min((plain.of.fit(f.theta) for f in causes), key=lambda f: f.chi2)
     return best.theta if best.chi2 < plain.chi2 - rules.restart_chi2 else None
-
-
-def _take_up_arm(evidence: Evidence) -> tuple[BaseModel, Float] | None:
-    """The plain model with one more arm, and its entries, where that does as well as the relaxation that is said to be missing.
-
-    The order is chosen on the mechanical responses to the plain model: where these are few, or another cause bends them, the film may well
-    have an arm more.
-    """
-    final = evidence.final
-    arms = [] if final is None else [i for i, c in enumerate(final.of.chosen) if c.mechanism.as_arm is not None]
-    if final is None or len(arms) != 1:
-        return None
-    of, values = final.of, final.values[arms[0]]
-    start = begin_arm(of.session, of.model, final.theta, values["stiffness_ratio"], values["time_constant_s"])
-    if start is None:
-        return None
-    model, theta = start
-    beside = [c.owner != arms[0] for c in of.coordinates]
-    others = replace(of, model=model, chosen=tuple(c for i, c in enumerate(of.chosen) if i != arms[0]))
-    found = others.fit(np.concatenate([theta, final.x[of.model.size :][beside]]))
-    worth = RULES.plain.arm_worth * max(1.0, found.chi2 / max(of.session.size - found.x.size, 1))
-    return (model, found.theta) if found.chi2 < final.chi2 + worth else None
 
 
 def _propose_recording(evidence: Evidence) -> NextRecording | None:

@@ -21,6 +21,7 @@ from pipeline.physics.motion import StateSpace, assemble, integrate
 from pipeline.physics.rig import Rig
 from pipeline.simulate.drive import Amplifier
 from schemas.arrays import Float
+from schemas.errors import UsageError
 
 STAGES = ("drive", "actuation", "mechanics", "sensor", "drift")
 """In the order of composition."""
@@ -74,23 +75,36 @@ class Softening:
 
 @dataclass(frozen=True)
 class Slip:
-    """A film end that friction holds in its clamp, until the film is pulled `holds_mm` from where it last held.
+    """A film end that friction holds in its clamp, up to `holds_n` more or less than the tension before the test.
 
-    Of what goes beyond, `share` is slip: the play operator (Prandtl), which turns back with the same play.
+    Beyond that it slides, and `hardening` times the film's spring at rest pulls it back (a slider with kinematic hardening).
     """
 
-    holds_mm: float
-    share: float
+    holds_n: float
+    hardening: float
 
-    def felt(self, displacement_mm: Float) -> Float:
-        """What the film feels of a displacement of the driven end: (n,) mm."""
-        slipped, path = 0.0, displacement_mm - displacement_mm[0]
-        followed = np.empty_like(path)
+    def felt(self, film: RelaxationModel, displacement_mm: Float, interval_s: float) -> Float:
+        """What a film feels of a displacement of the driven end: (n,) mm. The film's own damper is left out of its tension."""
+        decays = [math.exp(-interval_s / tau) for tau in film.tau]
+        rises = [k * tau / interval_s * (1 - d) for k, tau, d in zip(film.k, film.tau, decays, strict=True)]
+        stiffness, back = film.k0 + sum(rises), self.hardening * film.k0
+        arms, spring, slipped = [0.0] * len(decays), 0.0, 0.0
+        path = displacement_mm - displacement_mm[0]
+        lost = np.empty_like(path)
+        last = 0.0
         # Each step needs the one before; plain floats are quickest here.
         for i, moved in enumerate(path.tolist()):
-            slipped = min(max(slipped, moved - self.holds_mm), moved + self.holds_mm)
-            followed[i] = slipped
-        return np.asarray(displacement_mm - self.share * followed)
+            step, last = moved - last, moved
+            pull = spring + film.k0 * step - back * slipped
+            pull += sum(d * q + r * step for d, q, r in zip(decays, arms, rises, strict=True))
+            slides = 0.0
+            if abs(pull) > self.holds_n:
+                slides = math.copysign(abs(pull) - self.holds_n, pull) / (stiffness + back)
+            spring += film.k0 * (step - slides)
+            arms = [d * q + r * (step - slides) for d, q, r in zip(decays, arms, rises, strict=True)]
+            slipped += slides
+            lost[i] = slipped
+        return np.asarray(displacement_mm - lost)
 
 
 @dataclass(frozen=True)
@@ -204,7 +218,11 @@ class Bench:
         inputs = [signals.values.get("displacement"), signals.values.get("actuation")]
         film = replace(self.film, parts=self.film.parts_in(inputs[0]))
         if film.slip is not None and inputs[0] is not None:
-            inputs[0] = film.slip.felt(inputs[0])
+            if len(film.parts) != 1:
+                raise UsageError(
+                    "a film of several parts cannot slip in its clamp", expected="one relaxation everywhere"
+                )
+            inputs[0] = film.slip.felt(film.parts[0], inputs[0], signals.interval_s)
         outputs = integrate(replace(self, film=film).equations(), inputs, signals.interval_s)
         moved = signals.with_values(force=self.film.pretension_n + outputs[0])
         if self.film.sensing is None:

@@ -153,14 +153,17 @@ def _amplitude_softening(bench: Bench, values: AmplitudeSoftening, rng: np.rando
 
 @dataclass(frozen=True, kw_only=True)
 class ClampSlip:
-    """The film slips in its clamp where it is pulled farther than `holds_mm` from where it began: of what goes beyond, `share` is lost."""
+    """The film slides in its clamp where its tension is more than `holds_n` from that before the test.
 
-    holds_mm: float = number(above=0)
-    share: float = number(above=0, at_most=1)
+    What slides is pulled back by `hardening` times the film's spring at rest.
+    """
+
+    holds_n: float = number(above=0)
+    hardening: float = number(1.0, at_least=0)
 
 
 def _clamp_slip(bench: Bench, values: ClampSlip, rng: np.random.Generator) -> Bench:
-    return replace(bench, film=replace(bench.film, slip=Slip(values.holds_mm, values.share)))
+    return replace(bench, film=replace(bench.film, slip=Slip(values.holds_n, values.hardening)))
 
 
 @dataclass(frozen=True, kw_only=True)

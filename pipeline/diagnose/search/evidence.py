@@ -14,6 +14,7 @@ from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.patterns import Patterns
 from pipeline.diagnose.search.posterior import PLAIN, Hypothesis, Posterior, RegionFit, weigh_fit
 from pipeline.diagnose.search.screen import Signatures
+from pipeline.diagnose.simulation.parameters import BaseModel
 from schemas.arrays import Float
 
 
@@ -37,6 +38,7 @@ class Evidence:
     patterns_after : smooth patterns that the best causes leave, or the plain model where there are none
     louder : (N,) weights of the residuals under the noise that the likelihood makes of the session, where nothing is found beyond that;
         None where the noise is that of the rests
+    with_arm : the plain model with one more arm and its entries, where causes ask for that: the search has to begin anew with it
     """
 
     noise_fit: ExtendedFit
@@ -50,6 +52,7 @@ class Evidence:
     final: ExtendedFit | None = None
     patterns_after: Patterns | None = None
     louder: Float | None = None
+    with_arm: tuple[BaseModel, Float] | None = None
 
     @property
     def best(self) -> Hypothesis | None:

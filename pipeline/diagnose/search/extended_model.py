@@ -161,6 +161,10 @@ class Extended:
         """Whether none of its mechanisms may have to do with film and rig, which are then as in the plain model."""
         return all(map(_is_of_amplifier, self.chosen))
 
+    def is_lag(self, number: int) -> bool:
+        """Whether one of its mechanisms is a lag of the amplifier, which has nothing to do with film and rig."""
+        return _is_of_amplifier(self.chosen[number])
+
     @property
     def settled(self) -> int:
         """Entries, from the first on, whose slopes a fit that begins near an optimum need not know anew at every step: film and rig, which

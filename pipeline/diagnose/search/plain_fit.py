@@ -152,7 +152,7 @@ def _add_arms_that_suffice(session: Session, simulation: Simulation, found: Plai
         if best.chi2 < enough:
             break
         model = _make_model_like(session, found.model, arms)
-        times = np.geomspace(*_bound_arm_times(session, estimate_stiffness(session)[0]), _PLACES)
+        times = list_arm_times(session)
         best = min(
             (refit_plain(session, simulation, model, _add_arm(model, best, float(tau))) for tau in times),
             key=lambda f: f.chi2,
@@ -162,16 +162,16 @@ def _add_arms_that_suffice(session: Session, simulation: Simulation, found: Plai
     return best if best.chi2 < enough and found.chi2 - best.chi2 > worth else found
 
 
-def begin_arm(
-    session: Session, model: BaseModel, theta: Float, ratio: float, time_s: float
-) -> tuple[BaseModel, Float] | None:
-    """The plain model with one more arm than `model` has at entries theta (P,), and where its search begins; None where it has as many as
-    the plain model may have.
+def list_arm_times(session: Session) -> Float:
+    """(T,) relaxation times s at which a further arm is tried."""
+    return np.geomspace(*_bound_arm_times(session, estimate_stiffness(session)[0]), _PLACES)
+
+
+def begin_arm(session: Session, model: BaseModel, theta: Float, ratio: float, time_s: float) -> tuple[BaseModel, Float]:
+    """The plain model with one more arm than `model` has at entries theta (P,), and where its search begins.
 
     The arm begins with a stiffness of `ratio` times that at rest, and relaxes in `time_s`.
     """
-    if model.arms >= RULES.plain.orders[-1]:
-        return None
     more = _make_model_like(session, model, model.arms + 1)
     film = model.physical(theta).film
     arms = sorted([*zip(film.tau, film.k, strict=True), (time_s, ratio * film.k0)], reverse=True)
@@ -207,7 +207,7 @@ def _place_idle_arms(session: Session, model: BaseModel, start: Float) -> list[F
     if not idle:
         return []
     starts = []
-    for tau in np.geomspace(*_bound_arm_times(session, estimate_stiffness(session)[0]), _PLACES):
+    for tau in list_arm_times(session):
         at = {i: float(tau) * 3.0**n for n, i in enumerate(idle)}
         arms = [
             (at.get(i, t), _IDLE * film.k0 if i in at else k)
