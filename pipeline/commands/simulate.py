@@ -12,7 +12,9 @@ def run(arguments: Namespace) -> int:
     from pipeline.simulate.write import simulate_command
 
     study = ControllerStudy()
-    status = simulate_command(arguments.campaign, arguments.out, arguments.truth, study.add, blind=arguments.blind)
+    status = simulate_command(
+        arguments.campaign, arguments.out, arguments.truth, study.add, blind=arguments.blind, night=arguments.night
+    )
     if study.text:
         print(f"\n{study.text}")
     return status
@@ -21,6 +23,7 @@ def run(arguments: Namespace) -> int:
 COMMAND = Command(
     (
         "thesis --out raw",
+        "demo --out raw --night 1",
         "controller --out raw",
         "campaign.toml --out raw --truth truth.json",
         "thesis --out exam/raw --truth answers.json --blind",
@@ -29,6 +32,12 @@ COMMAND = Command(
         argument("campaign", metavar="CAMPAIGN", help="a campaign's TOML file, or the name of one that comes along"),
         argument("--out", type=parse_path, required=True, metavar="RAW", help="folder for the recordings"),
         argument("--truth", type=parse_path, metavar="JSON", help="file for what is true behind the recordings"),
+        argument(
+            "--night",
+            type=int,
+            metavar="N",
+            help="only what the campaign has recorded before its Nth night, beside the nights before",
+        ),
         argument(
             "--blind",
             action="store_true",

@@ -9,8 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.simulate.plan import Campaign, Planned
-from pipeline.simulate.specimen import Specimen
+from pipeline.simulate.plan import Campaign
 
 
 def hide_names(campaign: Campaign, seed: int) -> Campaign:
@@ -36,12 +35,15 @@ def hide_names(campaign: Campaign, seed: int) -> Campaign:
         counts[name] = counts.get(name, 0) + 1
         recording_id = f"{name}-{counts[name]:03d}-{one.procedure.protocol}"
         renamed[one.recording_id] = recording_id
-        planned.append(_rename(one, recording_id, name, None if one.specimen is None else specimens[name]))
-    mishaps = tuple(replace(m, recording=renamed[m.recording]) for m in campaign.mishaps)
+        specimen = None if one.specimen is None else specimens[name]
+        label = None if one.label is None else specimens[names[one.label.name]]
+        folder = name if label is None else label.name
+        planned.append(
+            replace(one, recording_id=recording_id, folder=folder, specimen=specimen, label=label, notes=None)
+        )
+    mishaps = tuple(
+        replace(m, recording=renamed[m.recording], specimen=names.get(m.specimen, m.specimen)) for m in campaign.mishaps
+    )
     return replace(
         campaign, name="blind", seed=seed, operator=None, specimens=specimens, planned=tuple(planned), mishaps=mishaps
     )
-
-
-def _rename(planned: Planned, recording_id: str, folder: str, specimen: Specimen | None) -> Planned:
-    return replace(planned, recording_id=recording_id, folder=folder, specimen=specimen, notes=None)

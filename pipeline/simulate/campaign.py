@@ -7,7 +7,7 @@ files of recordings are written in `write`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -50,9 +50,9 @@ class SimulatedRecording:
         return self.recording.metadata.recording_id
 
 
-def simulate(campaign: Campaign) -> Iterator[SimulatedRecording]:
-    """The recordings of a campaign, in its order. Each has random streams of its own, so that order does not matter."""
-    for planned in campaign.planned:
+def simulate(campaign: Campaign, chosen: Sequence[Planned] | None = None) -> Iterator[SimulatedRecording]:
+    """The recordings of a campaign, or some of them, in their order. Each has random streams of its own, so that order does not matter."""
+    for planned in campaign.planned if chosen is None else chosen:
         yield simulate_one(campaign, planned)
 
 
@@ -107,7 +107,7 @@ def simulate_one(campaign: Campaign, planned: Planned, controller: Controller | 
         )
     units = {q: s.unit for q, s in planned.sensors.items() if s.unit is not None}
     recording = Recording(_metadata(campaign, planned), planned.rig.stated, channels)
-    return SimulatedRecording(recording, truth(campaign, planned), planned.format, planned.folder, units)
+    return SimulatedRecording(recording, tell_truth(campaign, planned), planned.format, planned.folder, units)
 
 
 def _metadata(campaign: Campaign, planned: Planned) -> RecordingMetadata:
@@ -133,7 +133,7 @@ def _metadata(campaign: Campaign, planned: Planned) -> RecordingMetadata:
         raise UsageError(error.problem, where=error.where, expected=error.expected) from None
 
 
-def truth(campaign: Campaign, planned: Planned) -> dict[str, Any]:
+def tell_truth(campaign: Campaign, planned: Planned) -> dict[str, Any]:
     """What is true behind a recording, plain values: rig, film, effects, life."""
     bench = bench_for(campaign, planned)
     film = bench.film

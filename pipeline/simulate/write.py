@@ -12,7 +12,7 @@ import json
 import secrets
 import shutil
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ import numpy as np
 
 from ingest.mcap_writer import RecordingWriter
 from pipeline.simulate.blind import hide_names
-from pipeline.simulate.campaign import SimulatedRecording, simulate
+from pipeline.simulate.campaign import SimulatedRecording, simulate, tell_truth
 from pipeline.simulate.plan import Campaign, Mishap, Planned, load_campaign
 from schemas.arrays import Float
 from schemas.errors import UsageError
@@ -52,13 +52,15 @@ def simulate_command(
     watch: Callable[[Recording], object] = lambda recording: None,
     *,
     blind: bool = False,
+    night: int | None = None,
 ) -> int:
     """`dealab simulate`: writes a campaign (a TOML file or the name of a packaged one) to the folder `out`.
 
     Progress goes to stderr, the summary to stdout. `truth`: JSON file with what is true behind each recording; `watch`
-    is shown every recording; `blind`: with names, order and noise that are drawn. Returns the exit status. Raises `UsageError` for a
-    campaign that does not parse, an `out` that holds anything but an earlier simulation, a `truth` inside of `out`, and `blind` without a
-    `truth`, which nobody could find again.
+    is shown every recording; `blind`: with names, order and noise that are drawn; `night`: only what is recorded before that night, beside
+    what was recorded before the nights before it. Returns the exit status. Raises `UsageError` for a campaign that does not parse, an `out`
+    that holds anything but an earlier simulation, a `truth` inside of `out`, a night that the campaign has not, or `blind` without a `truth`,
+    which nobody could find again.
     """
     from tqdm import tqdm
 
@@ -69,16 +71,19 @@ def simulate_command(
     loaded = load_campaign(campaign)
     if blind:
         loaded = hide_names(loaded, secrets.randbelow(2**32))
-    with tqdm(total=len(loaded.planned), desc="simulating", unit="recording", file=sys.stderr, disable=None) as bar:
+    chosen = choose_night(loaded, night)
+    with tqdm(total=len(chosen), desc="simulating", unit="recording", file=sys.stderr, disable=None) as bar:
 
         def after_each(simulated: SimulatedRecording) -> None:
             bar.update()
             watch(simulated.recording)
 
-        written = write_campaign(loaded, out, truth=truth, after_each=after_each)
-    count = len(loaded.planned)
+        written = write_campaign(loaded, out, truth=truth, night=night, after_each=after_each)
+    count = len(chosen)
+    of_night = "" if night is None else f", night {night}"
     print(
-        f"{count} recording{'' if count == 1 else 's'} of campaign {loaded.name} in {out} ({written.size / 1e6:.0f} MB)"
+        f"{count} recording{'' if count == 1 else 's'} of campaign {loaded.name}{of_night} in {out}"
+        f" ({written.size / 1e6:.0f} MB)"
     )
     if truth is not None:
         print(f"what is true behind them: {truth}")
@@ -90,23 +95,34 @@ def write_campaign(
     out: Path,
     *,
     truth: Path | None = None,
+    night: int | None = None,
     after_each: Callable[[SimulatedRecording], object] = lambda simulated: None,
 ) -> Written:
-    """Writes all recordings of a campaign, the rigs' files and the accidents. Raises as `simulate_command`."""
+    """Writes the recordings of a campaign, all or of one night, the rigs' files and the accidents. Raises as `simulate_command`."""
     if truth is not None and truth.resolve().is_relative_to(out.resolve()):
         raise UsageError(f"the truth would lie among the recordings, in {truth}", expected=f"a file outside of {out}")
     mishaps: dict[str, list[Mishap]] = {}
     for mishap in campaign.mishaps:
         mishaps.setdefault(mishap.recording, []).append(mishap)
-    names = [name for planned in campaign.planned for name in _names(planned, mishaps.get(planned.recording_id, []))]
-    names += [f"rigs/{name}.toml" for name in campaign.rigs]
-    _clear(out)
-    (out / MARKER).write_text("\n".join(sorted(names)) + "\n", encoding="utf-8")
-    (out / "rigs").mkdir()
+    chosen = choose_night(campaign, night)
+
+    def list_files(several: Iterable[Planned]) -> list[str]:
+        return [name for planned in several for name in _names(planned, mishaps.get(planned.recording_id, []))]
+
+    files_of_rigs = [f"rigs/{name}.toml" for name in campaign.rigs]
+    names = list_files(chosen) + files_of_rigs
+    before = [] if night is None else [p for p in campaign.planned if p.night < night]
+    earlier = list_files(before)
+    if earlier:
+        _require_earlier(out, campaign, [*earlier, *files_of_rigs])
+    else:
+        _clear(out)
+    (out / MARKER).write_text("\n".join(sorted({*earlier, *names})) + "\n", encoding="utf-8")
+    (out / "rigs").mkdir(exist_ok=True)
     for name, rig in campaign.rigs.items():
         (out / "rigs" / f"{name}.toml").write_text(rig_file(rig.stated), encoding="utf-8")
-    truths = []
-    for simulated in simulate(campaign):
+    truths: list[Mapping[str, Any]] = [tell_truth(campaign, planned) for planned in before]
+    for simulated in simulate(campaign, chosen):
         _write(simulated, out, mishaps.get(simulated.recording_id, []))
         truths.append(simulated.truth)
         after_each(simulated)
@@ -116,6 +132,30 @@ def write_campaign(
         truth.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     files = tuple(out / name for name in sorted(names))
     return Written(files, sum(path.stat().st_size for path in files))
+
+
+def choose_night(campaign: Campaign, night: int | None) -> list[Planned]:
+    """What is recorded before one night, or all. Raises `UsageError` for a night that the campaign has not."""
+    if night is None:
+        return list(campaign.planned)
+    nights = sorted({planned.night for planned in campaign.planned})
+    if night not in nights:
+        raise UsageError(
+            f"campaign {campaign.name} has no night {night}", expected="one of " + ", ".join(str(n) for n in nights)
+        )
+    return [planned for planned in campaign.planned if planned.night == night]
+
+
+def _require_earlier(out: Path, campaign: Campaign, names: list[str]) -> None:
+    """What was recorded before has to be there. Raises `UsageError`."""
+    marker = out / MARKER
+    ours = set(marker.read_text(encoding="utf-8").splitlines()) if marker.is_file() else set()
+    if not ours.issuperset(names):
+        raise UsageError(
+            f"{out} does not hold the nights of campaign {campaign.name} before this one",
+            expected="a folder to which they were simulated",
+            remedy="Simulate them first: --night 1, and so on",
+        )
 
 
 def _names(planned: Planned, mishaps: list[Mishap]) -> list[str]:

@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.special import logsumexp
 
 from pipeline.diagnose.faults import fault as ids
 from pipeline.diagnose.faults.fault import say_times
@@ -182,14 +183,25 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanisms: Mechanisms) ->
         )  # fmt: skip
     own = frozenset({TENSION, SENSED, NOISE + "force", NOISE + "displacement", NOISE + "voltage"})
     # Of another rig it may show anything; of the same one it shows a film, and perhaps the same noise.
-    elsewhere = levels.own_rig or levels.foreign
-    size = 0.0 if elsewhere else _weigh_size(suspect, suspect.sound, RULES.fault.foreign_scale)
-    yield Hypothesis(
-        ids.FOREIGN_RECORDING,
-        ANOTHER_FILM,
-        None, prior + size, _OF_FILM, open_levels=own if elsewhere else frozenset(), may_open=frozenset() if elsewhere else own,
-        own_chi2=None if elsewhere else lambda: suspect.own_film_chi2, shows=frozenset({"foreign", "rig"}),
-    )  # fmt: skip
+    foreign = Hypothesis(
+        ids.FOREIGN_RECORDING, ANOTHER_FILM, None, prior, _OF_FILM, may_open=own, shows=frozenset({"foreign", "rig"})
+    )
+    if levels.own_rig or levels.foreign:
+        yield replace(foreign, open_levels=own, may_open=frozenset())
+        return
+    for log_share, free, own_chi2 in _list_other_films(suspect):
+        yield replace(foreign, log_prior=prior + log_share, free=free, own_chi2=own_chi2)
+
+
+def _list_other_films(suspect: Suspect) -> list[tuple[float, int, Callable[[], float]]]:
+    """What another specimen's film may be: any, or like this one and softer or stiffer by one factor, as those of one material are.
+
+    Returns
+    -------
+    Log of the share of all other films with how large the recording's features are, free parameters, χ²
+    """
+    share = float(np.log(0.5)) + _weigh_size(suspect, suspect.sound, RULES.fault.foreign_scale)
+    return [(share, _OF_FILM, lambda: suspect.own_film_chi2), (share, 1, lambda: suspect.scaled_film_chi2)]
 
 
 def _scales(suspect: Suspect, prior: float) -> Iterator[Hypothesis]:
@@ -331,9 +343,14 @@ def _weigh_parameter(suspect: Suspect) -> float:
 
 
 def weigh_another_film(suspect: Suspect) -> float:
-    """Log probability, beforehand, that a recording is of another film, less what that film's free parameters take off it."""
-    size = _weigh_size(suspect, suspect.sound, RULES.fault.foreign_scale)
-    return float(np.log(RULES.fault.prior)) + size - _OF_FILM * _weigh_parameter(suspect)
+    """Log probability, beforehand, that a recording is of another film, less what that film's free parameters take off it, and what a film like
+    this one leaves more than any film."""
+    least = suspect.temper(suspect.own_film_chi2)
+    each = [
+        share - free * _weigh_parameter(suspect) - 0.5 * (suspect.temper(chi2()) - least)
+        for share, free, chi2 in _list_other_films(suspect)
+    ]
+    return float(np.log(RULES.fault.prior) + logsumexp(each))
 
 
 def _measure_chi2(suspect: Suspect, hypothesis: Hypothesis, predicted: Prediction | None) -> float:
