@@ -1,4 +1,5 @@
-# make demo    sets up, simulates a measuring campaign, runs the nightly over it, says what to try next
+# make demo    sets up, simulates a measuring campaign, runs two nights over it, says what to try next
+# make thesis  the same with the tests of a doctoral thesis: four times as many recordings, one night
 # make test    sets up and runs the tests: what continuous integration runs
 # make long    the tests that take longest: further sessions in which an effect is hidden, further cases of what make test asks
 #              once, whole nights, and what is judged over many draws
@@ -40,22 +41,35 @@ SUPPORTED := 3.11 3.12 3.13 3.14
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 HASHED = $(if $(filter $(VERSION),$(SUPPORTED)),--require-hashes -r requirements/$(1)-$(VERSION).txt,-r $(2))
 
-.PHONY: demo test long quick bench study fuzz faults docs site lint release-check audit pins clean
+.PHONY: demo thesis test long quick bench study fuzz faults docs site lint release-check audit pins clean
 .DEFAULT_GOAL := demo
 
+# Exit status 3 is meant: a recording is damaged, as in real campaigns, and one that nothing describes is not read.
 demo: $(RUNTIME)
-	$(BIN)/dealab simulate thesis --out $(DEMO)/raw --truth $(DEMO)/truth.json
+	$(BIN)/dealab simulate demo --night 1 --out $(DEMO)/raw --truth $(DEMO)/truth.json
 	@$(BIN)/dealab nightly $(DEMO)/raw --lab $(DEMO)/lab || [ $$? -eq 3 ]
 	@echo
-	@echo "Exit status 3 is meant: the campaign holds a damaged recording and two that have to be refused, as real ones do."
+	@echo "The first night asks for a recording:"
+	@$(BIN)/dealab sql --lab $(DEMO)/lab "SELECT specimen_id, next_recording FROM diagnoses WHERE next_recording IS NOT NULL"
+	@echo
+	@echo "It is made, and the second night decides:"
+	$(BIN)/dealab simulate demo --night 2 --out $(DEMO)/raw --truth $(DEMO)/truth.json
+	@$(BIN)/dealab nightly $(DEMO)/raw --lab $(DEMO)/lab || [ $$? -eq 3 ]
+	@echo
+	@$(BIN)/dealab sql --lab $(DEMO)/lab "SELECT specimen_id, verdict, mechanism FROM diagnoses ORDER BY specimen_id"
 	@echo
 	@echo "Report:    $(DEMO)/lab/reports/index.html"
 	@echo "Database:  $(DEMO)/lab/results.duckdb"
 	@echo
 	@echo "Try:"
+	@echo "  $(BIN)/dealab diagnose PA-1 --lab $(DEMO)/lab"
 	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab 'SELECT specimen_id, model_order FROM best_models'"
 	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab 'SELECT * FROM survival_at(60)'"
-	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab \"SELECT source_path, problem FROM recordings WHERE status = 'quarantined'\""
+	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab 'SELECT source_path, problem FROM without_result'"
+
+thesis: $(RUNTIME)
+	$(BIN)/dealab simulate thesis --out $(DEMO)/thesis/raw --truth $(DEMO)/thesis/truth.json
+	@$(BIN)/dealab nightly $(DEMO)/thesis/raw --lab $(DEMO)/thesis/lab || [ $$? -eq 3 ]
 
 test: $(DEVELOPMENT)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not long and not study'

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from datetime import timedelta
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pipeline.diagnose.diagnosis import diagnose
-from pipeline.diagnose.faults.change import shows_in_more_than_one_test
+from pipeline.diagnose.faults.change import merge_foreign, shows_in_more_than_one_test
+from pipeline.diagnose.faults.fault import Fault
 from pipeline.diagnose.faults.find import Checked, check_recordings, judge_together
 from pipeline.diagnose.faults.fitted import assemble_session, fit_session
 from pipeline.diagnose.faults.levels import read_levels
@@ -18,6 +21,7 @@ from pipeline.diagnose.faults.predict import Suspect
 from pipeline.diagnose.features.kinds import AMPLIFIER, RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.simulation.session import make_session as join_features
+from pipeline.simulate.campaign import packaged_campaigns, read_campaign, simulate_one
 from schemas.recording import Recording
 from tests.helpers.everyday_faults import EDITS, change_metadata, mix_in
 from tests.helpers.truth_rig import KINDS, compact_session, make_session
@@ -77,6 +81,62 @@ def test_another_specimens_recording_is_foreign() -> None:
     assert [(f.cause, f.recordings) for f in checked.faults] == [
         ("foreign_recording", (recordings()[number].metadata.recording_id,))
     ]
+
+
+def test_a_foreign_recording_is_told_beside_a_mechanism_that_others_show() -> None:
+    """A sweep like it shows nothing of the kind, whatever the film does where it is pulled farther."""
+    session = tuple(
+        compact_session(SEED, [("amplitude_softening", FACTOR * KINDS["amplitude_softening"].typical)]).recordings
+    )
+    number = max(i for i, r in enumerate(session) if r.metadata.protocol == "chirp")
+    mixed = mix_in(session, recordings(ANOTHER_SEED), number)
+    checked = check_recordings([reduce(r) for r in mixed])
+    assert [(f.cause, f.recordings) for f in checked.faults] == [
+        ("foreign_recording", (session[number].metadata.recording_id,))
+    ]
+
+
+def session_of_demonstration(**mislabelled: Any) -> list[RecordingFeatures]:
+    """The session of SI-2 in the demonstration, with a sweep of SI-1 that was filed under its name; by keys of that test."""
+    table = tomllib.loads(packaged_campaigns()["demo"].read_text(encoding="utf-8"))
+    table["specimens"]["PA-9"] = table["specimens"]["SI-1"] | {"stiffness_scale": 0.4}
+    sweep = next(entry for entry in table["recordings"] if entry.get("id") == "SI-2-chirp-0.45mm")
+    sweep |= mislabelled
+    campaign = read_campaign(table)
+    own = [p for p in campaign.planned if (p.label or p.specimen) == campaign.specimens["SI-2"]]
+    return [reduce(simulate_one(campaign, planned).recording) for planned in own]
+
+
+def test_a_sweep_that_was_filed_under_a_like_films_name_is_foreign() -> None:
+    """A film of the same kind, an eighth stiffer, is another film as well as one that is like nothing else."""
+    faults = check_recordings(session_of_demonstration()).faults
+    assert [(f.cause, f.recordings) for f in faults] == [("foreign_recording", ("SI-2-chirp-0.45mm",))]
+
+
+@pytest.mark.long
+def test_what_no_cause_explains_in_one_recording_is_asked_without_it() -> None:
+    """It is the only one that goes so far: a mechanism that only shows there may be behind it, but has to explain it."""
+    sweep = session_of_demonstration(amplitude_mm=2.5, specimens=["PA-9"])
+    found = diagnose(sweep)
+    assert (found.verdict, found.mechanisms) == ("named", ("foreign_recording",))
+    assert found.faults[0].recordings == ("SI-2-chirp-0.45mm",)
+
+
+def test_several_foreign_recordings_before_all_others_are_a_changed_specimen() -> None:
+    tests = [i for i, r in enumerate(recordings()) if r.metadata.loading != "calibration"]
+    mixed = list(recordings())
+    for number in tests[:3]:
+        mixed = mix_in(mixed, recordings(ANOTHER_SEED), number)
+    faults = [Fault("foreign_recording", (mixed[number].metadata.recording_id,), 0.99, "") for number in tests[:3]]
+    session = assemble_session(
+        [reduce(m) if m is not r else f for m, r, f in zip(mixed, recordings(), sound(), strict=True)]
+    )
+    [change] = merge_foreign(faults, session)
+    assert (change.cause, change.probability) == ("specimen_changed", 0.99)
+    assert change.recordings == tuple(mixed[number].metadata.recording_id for number in tests[3:])
+    assert merge_foreign(faults[:1], session) == faults[:1]
+    scattered = [faults[0], replace(faults[1], recordings=(mixed[tests[4]].metadata.recording_id,))]
+    assert merge_foreign(scattered, session) == scattered
 
 
 def test_a_gain_that_changed_midway_reads_the_rest_otherwise_too() -> None:

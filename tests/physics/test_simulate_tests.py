@@ -11,9 +11,12 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from scipy.stats import kstest, weibull_min
 
+from pipeline.physics.film import RelaxationModel
+from pipeline.simulate.bench import Slip
 from pipeline.simulate.campaign import SimulatedRecording, load_campaign, read_campaign, simulate, simulate_one
 from pipeline.simulate.lifetime import LifetimeGroup
 from pipeline.transform.cyclic import cyclic_response
+from schemas.errors import UsageError
 
 THESIS = load_campaign("thesis")
 QUIET = {"noise_sd": 0.0, "bits": 0}
@@ -457,3 +460,35 @@ def test_stacks_soften_with_strain_as_measured(specimen: str, scale: float) -> N
     phase = np.array([np.degrees(np.angle(one.value[0])) for one in found])
     assert magnitude == pytest.approx(scale * np.array([3.0, 2.52, 2.3]), rel=0.015)
     assert np.ptp(phase) < 1.0
+
+
+def test_a_film_slips_where_friction_no_longer_holds_it() -> None:
+    """A spring in a clamp is elastoplastic with kinematic hardening: beyond the holding force the slope is that of spring and hardening in
+    series, and on the way back it holds for twice the force."""
+    k0, holds, hardening = 1.0, 0.4, 0.5
+    path = np.concatenate([np.linspace(0, 1, 401), np.linspace(1, 0, 401)[1:]])
+    slip = Slip(holds, hardening)
+    felt = slip.felt(RelaxationModel(k0, (), (), 0.0), 5 + path, 1e-3) - 5
+    force = k0 * felt
+    slope = k0 * hardening / (1 + hardening)
+    rising = np.where(path[:401] < holds / k0, k0 * path[:401], holds + slope * (path[:401] - holds / k0))
+    assert force[:401] == pytest.approx(rising, abs=2e-3)
+    top, turned = rising[-1], 2 * holds / k0
+    back = np.where(
+        1 - path[401:] < turned, top - k0 * (1 - path[401:]), top - 2 * holds - slope * (1 - path[401:] - turned)
+    )
+    assert force[401:] == pytest.approx(back, abs=3e-3)
+    assert np.array_equal(slip.felt(RelaxationModel(k0, (1.0,), (0.1,), 0.0), 0.1 * path, 1e-3), 0.1 * path)
+
+
+def test_a_film_of_several_parts_is_refused_where_it_would_slip() -> None:
+    table = copy.deepcopy(TABLE)
+    table["specimens"]["A"] = table["specimens"]["A"] | {
+        "active_springs": 1.4,
+        "effects": {"clamp_slip": {"holds_n": 0.1}},
+    }
+    table["recordings"] = [
+        {"test": "cyclic", "specimens": ["A"], "frequency_hz": 1.0, "strain_pp": 0.1, "sample_rate_hz": 100}
+    ]
+    with pytest.raises(UsageError, match="several parts"):
+        list(simulate(read_campaign(table)))

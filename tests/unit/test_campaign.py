@@ -174,7 +174,7 @@ def test_order_does_not_matter_and_a_seed_does() -> None:
         ("specimens/A/material", "steel", "specimens.A", "one of acrylic"),
         ("specimens/A/geometry/stretch_1", "long", "specimens.A.geometry", "stretch_1"),
         ("specimens/A/geometry/operator", "me", "specimens.A.geometry", '"operator" is not a key'),
-        ("specimens/A/effects", {"clamp_slip": {}}, "specimens.A.effects", "no effect"),
+        ("specimens/A/effects", {"slack": {}}, "specimens.A.effects", "no effect"),
         ("specimens/B/effects/gain_error/gain", "big", "effects.gain_error", "a number"),
         ("specimens/B/effects/gain_error/channel", "torque", "effects.gain_error", "one of force"),
         ("recordings/0/test", "squeeze", "recordings[0]", "one of chirp"),
@@ -190,6 +190,8 @@ def test_order_does_not_matter_and_a_seed_does() -> None:
         ("recordings/0/format", "xlsx", "recordings[0]", "one of mcap, csv"),
         ("mishaps/0/recording", "nobody", "mishaps[0]", "not in the campaign"),
         ("mishaps/0/recording", "A-hold-0.1mm", "mishaps[0]", "csv"),
+        ("recordings/0/night", 0, "recordings[0]", "whole number of at least 1"),
+        ("mishaps/0", {"recording": "export-2", "kind": "mislabelled", "specimen": "C"}, "mishaps[0]", "filed under"),
         ("mishaps/3/key", "material", "mishaps[3]", "one of recording_id"),
         ("recordings", [], "campaign", "no recordings"),
     ],
@@ -317,6 +319,37 @@ def test_a_simulation_replaces_an_earlier_one_and_nothing_else(tmp_path: Path) -
     assert not (tmp_path / "new").exists()
 
 
+def test_nights_are_written_one_beside_the_other(tmp_path: Path) -> None:
+    table = edited("recordings/1/night", 2)
+    campaign = read_campaign(table)
+    first, second = ([p for p in campaign.planned if p.night == night] for night in (1, 2))
+    assert {p.recording_id for p in second} == {"export-1", "export-2", "export-3"}
+    assert max(p.started_at for p in first) < min(p.started_at for p in second)
+    whole, by_night = tmp_path / "whole", tmp_path / "raw"
+    write_campaign(campaign, whole)
+    with pytest.raises(UsageError, match="does not hold the nights"):
+        write_campaign(campaign, by_night, night=2)
+    write_campaign(campaign, by_night, night=1)
+    assert not {name for name in digests(by_night) if "export" in name}
+    write_campaign(campaign, by_night, night=2, truth=tmp_path / "truth.json")
+    assert digests(by_night) == digests(whole)
+    told = json.loads((tmp_path / "truth.json").read_text())["recordings"]
+    assert sorted(t["recording_id"] for t in told) == sorted(p.recording_id for p in campaign.planned)
+    with pytest.raises(UsageError, match="no night 3"):
+        write_campaign(campaign, by_night, night=3)
+
+
+def test_a_recording_is_filed_under_another_specimen(tmp_path: Path) -> None:
+    table = edited("mishaps", [{"recording": "A-hold-0.2mm", "kind": "mislabelled", "specimen": "B"}])
+    campaign = read_campaign(table)
+    made = next(s for s in simulate(campaign) if s.recording_id == "A-hold-0.2mm")
+    assert (made.recording.metadata.specimen_id, made.folder, made.truth["specimen_id"]) == ("B", "B", "A")
+    right = next(s for s in simulate(read_campaign(TABLE)) if s.recording_id == "A-hold-0.2mm")
+    assert np.array_equal(made.recording.channels["force"].values, right.recording.channels["force"].values)
+    write_campaign(campaign, tmp_path)
+    assert (tmp_path / "B" / "A-hold-0.2mm.mcap").is_file()
+
+
 def test_the_command_takes_a_file_or_a_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -333,7 +366,7 @@ def test_the_command_takes_a_file_or_a_name(
     assert (tmp_path / "truth.json").is_file()
 
 
-def test_the_demonstration_campaign_is_sound() -> None:
+def test_the_campaign_of_the_thesis_is_sound() -> None:
     assert "thesis" in packaged_campaigns()
     campaign = load_campaign("thesis")
     protocols = {planned.procedure.protocol for planned in campaign.planned}
@@ -354,6 +387,21 @@ def test_the_demonstration_campaign_is_sound() -> None:
         for key in ("clamp_mass_kg", "load_cell_stiffness_n_per_mm"):
             sd = getattr(rig.stated, f"{key}_sd") or 0.0
             assert abs(getattr(rig.stated, key) - getattr(rig.true, key)) <= 2 * sd
+
+
+def test_the_demonstration_tells_its_story() -> None:
+    campaign = load_campaign("demo")
+    assert {name: [*s.effects] for name, s in campaign.specimens.items() if s.effects} == {
+        "ST-1": ["amplitude_softening"],
+        "ST-2": ["amplitude_softening"],
+        "ST-3": ["clamp_slip"],
+        "WR-1": ["wrinkling"],
+    }
+    assert {s.deviations.batch for s in campaign.specimens.values() if "amplitude_softening" in s.effects} == {"B7"}
+    assert sorted(m.kind for m in campaign.mishaps) == ["mislabelled", "truncated", "unmapped"]
+    changed = campaign.rigs["shaker-2"]
+    assert changed.true.clamp_mass_kg > changed.stated.clamp_mass_kg + 5 * changed.stated.clamp_mass_kg_sd
+    assert {p.procedure.protocol for p in campaign.planned if p.night == 2} == {"tap"}
 
 
 @pytest.mark.parametrize(
