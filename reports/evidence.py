@@ -115,6 +115,8 @@ class Standing:
     """Constants of the rig as the recordings state them."""
     unasked: tuple[str, ...] = ()
     """Why no diagnosis could be made of what was measured."""
+    batch: str = ""
+    """The batch of film, or of specimens, that the recordings name."""
     negative: str = ""
     """What came out negative that no film has, and why that may be; empty where nothing did."""
 

@@ -20,6 +20,7 @@ from schemas.mechanisms import (
     MECHANISMS,
     RECORD,
     UNLISTED,
+    list_actions,
     model_name,
     plain_name,
     quote_name,
@@ -185,8 +186,13 @@ def _by_ids(explanation: Explanation, of: Sequence[Explanation]) -> Piece:
 
 
 def what_next(diagnosis: Row | None) -> Next | None:
-    """The recording that would decide."""
-    if not diagnosis or not diagnosis["next_recording"]:
+    """The recording that would decide, or what to do about the causes that are named."""
+    if not diagnosis:
+        return None
+    if diagnosis.get("verdict") == "named":
+        actions = list_actions(diagnosis.get("mechanisms") or ())
+        return Next("What to do", " ".join(actions)) if actions else None
+    if not diagnosis["next_recording"]:
         return None
     text = capital(name_causes(str(diagnosis["next_recording"])))
     return Next("Next recording to make", f"{text.rstrip('.')}.")

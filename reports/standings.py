@@ -5,6 +5,7 @@ Does not belong here: how one stands (`reports.evidence`).
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -40,6 +41,7 @@ class Brief:
     less_than_noise: bool
     """The fit leaves less than the errors that it reckoned with."""
     material: str
+    batch: str = ""
 
     @property
     def as_simulated(self) -> bool:
@@ -104,10 +106,16 @@ def _of(results: Results, recordings: Sequence[Row], where: Query) -> list[Stand
             told(diagnoses.get(specimen)),
             stated_rig(records),
             unasked(diagnoses.get(specimen)),
+            _batch(records[-1]),
             negative.get(specimen, ""),
         )
         for specimen, records in sorted(theirs.items())
     ]
+
+
+def _batch(recording: Row) -> str:
+    """The batch that a recording's metadata name."""
+    return str(json.loads(recording["metadata"] or "{}").get("recording", {}).get("batch") or "")
 
 
 def find_negative(results: Results, where: Query) -> dict[str, str]:
@@ -134,4 +142,5 @@ def _brief(standing: Standing) -> Brief:
         None if fit is None else fit["reduced_chi2"],
         fit is not None and less_than_noise(fit),
         short(standing.material, 30) if standing.material else "",
+        standing.batch,
     )

@@ -7,14 +7,14 @@ terminal and of the pages sees. A cause that is not listed is shown by its id, a
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from schemas.numbers import ABSENT, NBSP, UNRESOLVED, is_usable, ordinal, percent, pm, significant, with_unit
 
-RECORD = "record"
-"""The stage of what is wrong with recordings and their metadata."""
+FILM, RECORD = "film", "record"
+"""The stages of what the film does, and of what is wrong with recordings and their metadata."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,46 @@ class Mechanism:
     finding: str
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     reverse: str = ""
+
+
+ACTIONS: dict[str, str] = {
+    "rig_constants": "Measure the clamp's mass and the load cell's stiffness anew (known weights; taps, and taps with a known mass more), and put them into the rig's file.",
+    "load_cell_damping": "Put the damping into the rig's file. Where it differs between tests, look for a loose clamp.",
+    "drive_lag": "Nothing has to be measured again: models use the measured voltage. Faster tests need a stronger amplifier.",
+    "amplitude_softening": "For strokes of this size use the extended model; the plain one is a mean over the strokes that were tested.",
+    "cyclic_softening": "Cycle such films until they no longer change before they are measured; for fresh ones use the extended model.",
+    "missing_relaxation": "Use the extended model, and hold a step as long as the film will be used for.",
+    "power_law_relaxation": "Use the extended model, and hold a step as long as the film will be used for.",
+    "baseline_drift": "Let the film rest longer after it is stretched, or zero the load cell before each test.",
+    "thermal_softening": "Record the temperature beside the tests, and let film and rig warm through before them.",
+    "field_dependent_permittivity": "For high voltages use the extended model; forces from the square of the voltage are too large there.",
+    "frequency_dependent_permittivity": "For fast actuation use the extended model; static forces promise too much there.",
+    "electrode_degradation": "Renew the electrode or make it thicker; do not sense by it beyond the cycle at which it began.",
+    "slack": "Stretch the film more before the test, or move it less.",
+    "strain_stiffening": "For strokes of this size use the extended model; the plain one is a mean over the strokes that were tested.",
+    "sensor_delay": "Put the delay of that channel into its mapping or the rig's file, and look which filter is on.",
+    "gain_error": "Calibrate that channel, and put its factor into the mapping or the rig's file.",
+    "drive_offset": "Zero the amplifier; until then put the offset into the mapping.",
+    "leakage": "Look at electrode and leads for a conducting path, and record the leakage current.",
+    "wrinkling": "Stay below that voltage, or stretch the film more; forces above it are those of a wrinkled film.",
+    "clamp_slip": "Clamp anew and repeat what was pulled beyond that force; what stayed below is sound.",
+    "mains_hum": "Look at shields and earth of the force channel; responses near the mains frequency are not the film's.",
+    "sensor_saturation": "Repeat those tests with less amplitude or a cell of a larger range.",
+    "passive_strip": "Look for film that carries no electrode beside the active part, and put its length into the metadata.",
+    "channels_swapped": "Exchange the two columns in the mapping; the lines to write stand among the corrections.",
+    "sign_flipped": "Turn the sign of that channel in the mapping; the line to write stands among the corrections.",
+    "unit_slip": "Put the unit right in the mapping; the line to write stands among the corrections.",
+    "sample_rate_wrong": "Put the rate right in the mapping; the line to write stands among the corrections.",
+    "clock_drift": "Put the clock's factor into the mapping, and let one clock sample both channels.",
+    "channel_skew": "Put the delay into the mapping, and look how the two channels are started.",
+    "strain_wrong": "Look which strain was driven, and put it into the metadata.",
+    "size_wrong": "Measure the film's sizes again, and put them into the metadata.",
+    "foreign_recording": "Look whose recording it is and put its specimen_id right, or take it out: dealab exclude.",
+    "foreign_rig": "Look on which rig it was made, and put its rig_id right.",
+    "dead_channel": "Look at that channel's cable and repeat the test.",
+    "specimen_changed": "Look whether the film tore or was clamped anew; give what came after another specimen_id.",
+}
+"""What a laboratory does where a cause is named, a sentence or two."""
 
 
 def _share(words: str) -> Parameter:
@@ -217,6 +257,11 @@ def plain_name(mechanism: str) -> str:
         return "a cause in no list"
     known = _WORDS.get(mechanism)
     return known.name if known else mechanism.replace("_", " ")
+
+
+def list_actions(mechanisms: Sequence[str]) -> list[str]:
+    """What to do about causes, in their order, each once."""
+    return list(dict.fromkeys(ACTIONS[m] for m in mechanisms if m in ACTIONS))
 
 
 def quote_name(mechanism: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import timedelta
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.diagnosis_tables import comparison_tables, diagnosis_tables, undiagnosed_tables
@@ -55,14 +56,18 @@ def _find_unheard(recordings: Sequence[Measured]) -> list[str]:
     return [f"{name}: its response is refused, so that nothing can be said of it: {f.unanswered}" for name, f in kept]
 
 
+_STILL_COUNTS = timedelta(days=7)
+"""Time after a specimen's last recording in which a calibration is still one of its rig: a diagnosis may have asked for it."""
+
+
 def session_of(
     specimen_id: str, recordings: Sequence[Measured], calibrations: Sequence[Measured]
 ) -> tuple[list[RecordingFeatures], list[str]]:
     """Features of the specimen's recordings and of the calibrations of its rigs, and why others have none.
 
     Calibrations are measurements of the session like any other, so rigs stay as their files have them: sharpened
-    constants would count them twice. They count from when the specimen was first measured, since their age says nothing
-    about the film; calibrations made after its last recording are left out, as in the fits.
+    constants would count them twice. They are taken as made while the specimen was measured, since their age says nothing
+    about the film; those made long after its last recording are left out.
     """
     features: list[RecordingFeatures] = []
     without: dict[str, list[str]] = {}
@@ -82,8 +87,8 @@ def session_of(
         found = _features(one)
         if one.recording_id in own or isinstance(found, str):
             continue
-        if found.started_at <= last and _clamp(found.rig) in clamps:
-            started = max(found.started_at, first)
+        if found.started_at <= last + _STILL_COUNTS and _clamp(found.rig) in clamps:
+            started = min(max(found.started_at, first), last)
             features.append(replace(found, specimen_id=specimen_id, started_at=started))
     return features, refused
 

@@ -30,6 +30,8 @@ class Judged(Protocol):
     def verdict(self) -> str: ...
     @property
     def mechanisms(self) -> tuple[str, ...]: ...
+    @property
+    def batch(self) -> str: ...
 
 
 One = TypeVar("One", bound=Judged)
@@ -41,12 +43,18 @@ def by_rank(alarms: Sequence[One]) -> list[One]:
 
 
 def sharing(alarms: Sequence[One]) -> list[list[One]]:
-    """Specimens in which the same causes are named, where there are several: what they share is rather the rig."""
+    """Specimens in which the same causes are named, where there are several, or two of one batch: what they share is rig or material."""
     groups: dict[tuple[str, ...], list[One]] = {}
     for standing in alarms:
         if standing.verdict == "named":
             groups.setdefault(standing.mechanisms, []).append(standing)
-    return [group for group in groups.values() if len(group) >= SHARED]
+    return [group for group in groups.values() if len(group) >= SHARED or (len(group) > 1 and shared_batch(group))]
+
+
+def shared_batch(group: Sequence[Judged]) -> str:
+    """The batch of which all of them are; empty where they are of several, or of none that is known."""
+    batches = {one.batch for one in group}
+    return next(iter(batches)) if len(batches) == 1 else ""
 
 
 @dataclass(frozen=True)

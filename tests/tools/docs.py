@@ -117,8 +117,7 @@ SHOTS = {
     "finding": ("index.html", "ol.findings > li:first-child", 1010),
     "index": ("index.html", "main", 760),
     "specimen": ("specimens/PA-1.html", "section[aria-labelledby=response]", 560),
-    "survival": ("campaigns/thesis.html", "section[aria-labelledby=survival]", 480),
-    "control": ("control.html", "section[aria-labelledby=rigs]", 340),
+    "survival": ("campaigns/demo.html", "section[aria-labelledby=survival]", 480),
 }
 """Picture → page of the demonstration's report, what of it, and its height at most in px."""
 
@@ -146,8 +145,9 @@ def make_demonstration(folder: Path) -> Path:
     """The lab that `make demo` makes, in that folder."""
     from pipeline.cli import main as dealab
 
-    dealab(["simulate", "thesis", "--out", str(folder / "raw")])
-    dealab(["nightly", str(folder / "raw"), "--lab", str(folder / "lab")])
+    for night in ("1", "2"):
+        dealab(["simulate", "demo", "--night", night, "--out", str(folder / "raw")])
+        dealab(["nightly", str(folder / "raw"), "--lab", str(folder / "lab")])
     return folder / "lab"
 
 

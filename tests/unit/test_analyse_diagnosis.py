@@ -55,11 +55,17 @@ def test_a_tap_of_the_rig_joins_as_a_recording_of_the_specimen_and_its_age_does_
     assert tap.started_at == features[0].started_at
 
 
-def test_a_tap_is_not_taken_twice_nor_from_later_nor_from_another_clamp(recorded: Any) -> None:
+def test_a_tap_that_a_diagnosis_asked_for_counts_after_the_last_recording(recorded: Any) -> None:
+    features, _ = session_of("S-9", [recorded["chirp"], recorded["cyclic"]], [at(recorded["tap"], 2)])
+    assert [f.protocol for f in features] == ["chirp", "cyclic", "tap"]
+    assert features[-1].started_at == features[-2].started_at
+
+
+def test_a_tap_is_not_taken_twice_nor_from_long_after_nor_from_another_clamp(recorded: Any) -> None:
     own = [recorded["chirp"], recorded["tap"], recorded["cyclic"]]
     features, _ = session_of("S-9", own, [recorded["tap"]])
     assert len(features) == 3
-    later = at(recorded["tap"], 1, recording_id="tap-2")
+    later = at(recorded["tap"], 8, recording_id="tap-2")
     heavier = at(
         recorded["tap"], -1, recording_id="tap-3", rig=replace(recorded["tap"].rig, clamp_mass_kg=9.0)
     )  # fmt: skip

@@ -16,6 +16,7 @@ from schemas.mechanisms import (
     UNLISTED,
     amount,
     candidate,
+    list_actions,
     main,
     nested,
     parameter_words,
@@ -92,6 +93,10 @@ def _describe_diagnosis(row: Row) -> Iterator[str]:
     yield from _describe_film(row)
     if row["unexplained"]:
         yield from _list_under("What no cause explains", row["unexplained"])
+    if row["verdict"] == "named":
+        actions = list_actions(row["mechanisms"] or ())
+        if actions:
+            yield from _list_under("What to do", actions)
     if row["next_recording"]:
         yield from _list_under("Next recording to make", [capital(row["next_recording"])])
     yield from _describe_visibility(row)

@@ -31,6 +31,7 @@ from reports.pages.specimen import comparing_models, film
 from reports.site import CONTROL, SPECIMENS, Site
 from reports.standings import Brief, of_lab
 from schemas.explanations import cause
+from schemas.mechanisms import FILM, RECORD
 from schemas.numbers import capital, counted, digits, significant, word
 
 _WIDE = 2
@@ -59,7 +60,9 @@ def section(
     full = {s.specimen_id: s for s in of_lab(site.results, [s.specimen_id for s in told])}
     for group in shared:
         items.append(_shared_finding(site, group, full[group[0].specimen_id], wide=len(items) < _WIDE))
-    items += [found.limit_finding(site, limit, "") for limit in bounds[:_LIMITS]]
+    # What a diagnosis names is told by it.
+    named = {s.specimen_id for s in alarms if s.verdict == "named"}
+    items += [found.limit_finding(site, limit, "") for limit in bounds if limit.specimen_id not in named][:_LIMITS]
     items += _out_of_control(site)
     for standing in (full[s.specimen_id] for s in alone[:_ALARMED]):
         wide = len([i for i in items if i.figure]) < _WIDE
@@ -147,7 +150,9 @@ def _out_of_control(site: Site) -> list[Finding]:
 
 def _specimen_finding(site: Site, standing: Standing, *, wide: bool) -> Finding:
     body = [*findings.evidence(standing), link("The specimen's page", site.specimen_path(standing.specimen_id))]
-    figure = (_told_figure(site, standing) or _evidence_figure(site, standing)) if wide else None
+    # Of a fault nothing is to be seen in the recordings without it.
+    is_fault = (standing.diagnosis or {}).get("stage") == RECORD
+    figure = (_told_figure(site, standing) or _evidence_figure(site, standing)) if wide and not is_fault else None
     return Finding(
         findings.headline(standing),
         tuple(body),
@@ -160,17 +165,17 @@ def _specimen_finding(site: Site, standing: Standing, *, wide: bool) -> Finding:
 def _shared_finding(site: Site, group: Sequence[Brief], first: Standing, *, wide: bool) -> Finding:
     """One finding for all specimens with the same cause; sizes and evidence are those of the first."""
     pages = [link(name(s.specimen_id), site.specimen_path(s.specimen_id)) for s in group]
+    batch = found.shared_batch(group)
+    diagnosis = first.diagnosis or {}
+    where = "the material than in one film" if diagnosis.get("stage") == FILM else "the rig than in the film"
     body = (
-        flow(
-            listed(pages),
-            ": one cause in all of them, so rather in the rig than in the film. Of ",
-            name(first.specimen_id),
-            ":",
-        ),
+        flow(listed(pages), f": one cause in all of them, so rather in {where}. Of ", name(first.specimen_id), ":"),
         *findings.evidence(first),
     )
-    title = flow(f"{capital(word(len(group)))} specimens: {cause(first.diagnosis or {})}.")
-    return Finding(title, body, findings.kind(first), None, _told_figure(site, first) if wide else None)
+    who: Piece = flow(" of batch ", name(batch)) if batch else ""
+    title = flow(f"{capital(word(len(group)))} specimens", who, f": {cause(diagnosis)}.")
+    figure = _told_figure(site, first) if wide else None
+    return Finding(title, body, findings.kind(first), findings.what_next(first.diagnosis), figure)
 
 
 def _told_figure(site: Site, standing: Standing) -> Figure | None:
