@@ -68,7 +68,7 @@ ACTIONS: dict[str, str] = {
     "channel_skew": "Put the delay into the mapping, and look how the two channels are started.",
     "strain_wrong": "Look which strain was driven, and put it into the metadata.",
     "size_wrong": "Measure the film's sizes again, and put them into the metadata.",
-    "foreign_recording": "Look whose recording it is and put its specimen_id right, or take it out: dealab exclude.",
+    "foreign_recording": "Look whose recording it is and put its specimen_id right, or exclude it.",
     "foreign_rig": "Look on which rig it was made, and put its rig_id right.",
     "dead_channel": "Look at that channel's cable and repeat the test.",
     "specimen_changed": "Look whether the film tore or was clamped anew; give what came after another specimen_id.",
