@@ -18,6 +18,8 @@ _RATIO = 0.3
 """Stiffness over that at rest with which an arm begins."""
 _ROUGH, _FULL = 4, 15
 """Steps of a search from each of several times, and of that from the best of them."""
+_APART = 1.5
+"""Ratio of the times of two arms below which they are one."""
 
 
 def take_up_arm(final: ExtendedFit) -> tuple[BaseModel, Float] | None:
@@ -35,8 +37,18 @@ def take_up_arm(final: ExtendedFit) -> tuple[BaseModel, Float] | None:
     if of.model.arms >= RULES.plain.orders[-1] or not of.chosen:
         return None
     each = [None, *(i for i in range(len(of.chosen)) if not of.is_lag(i))]
-    found = min((_fit_with_arm(final, left_out) for left_out in each), key=lambda pair: pair[1])
-    return found[0] if found[1] < final.chi2 else None
+    (model, theta), chi2 = min((_fit_with_arm(final, left_out) for left_out in each), key=lambda pair: pair[1])
+    # The causes alone go on as long as they did with the arm.
+    if chi2 >= final.of.fit(final, most=_FULL).chi2 or not _is_further(model, theta):
+        return None
+    return model, theta
+
+
+def _is_further(model: BaseModel, theta: Float) -> bool:
+    """Whether all arms are there, each at a time of its own: two at one time are one."""
+    film = model.physical(theta).film
+    times = np.sort(film.tau)
+    return min(film.k) > RULES.fit.vanished * film.k0 and bool(np.all(times[1:] > _APART * times[:-1]))
 
 
 def _fit_with_arm(final: ExtendedFit, left_out: int | None) -> tuple[tuple[BaseModel, Float], float]:
