@@ -5,7 +5,6 @@ Does not belong here: how one stands (`reports.evidence`).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +12,7 @@ from reports.evidence import Standing, choice, less_than_noise, told, unasked
 from reports.ledger import batches
 from reports.names import short
 from reports.results import Query, Results, Row, literal
-from reports.site import stated_rig
+from reports.site import flat_metadata, stated_rig
 from schemas.places import SIGN
 
 _JUDGED = (
@@ -115,7 +114,7 @@ def _of(results: Results, recordings: Sequence[Row], where: Query) -> list[Stand
 
 def _batch(recording: Row) -> str:
     """The batch that a recording's metadata name."""
-    return str(json.loads(recording["metadata"] or "{}").get("recording", {}).get("batch") or "")
+    return str(flat_metadata(recording["metadata"]).get("batch") or "")
 
 
 def find_negative(results: Results, where: Query) -> dict[str, str]:

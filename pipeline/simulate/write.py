@@ -146,11 +146,15 @@ def choose_night(campaign: Campaign, night: int | None) -> list[Planned]:
     return [planned for planned in campaign.planned if planned.night == night]
 
 
+def _list_ours(out: Path) -> set[str]:
+    """Names of the files that earlier simulations wrote into a folder, the list of them among these; empty where there is none."""
+    marker = out / MARKER
+    return {*marker.read_text(encoding="utf-8").splitlines(), MARKER} if marker.is_file() else set()
+
+
 def _require_earlier(out: Path, campaign: Campaign, names: list[str]) -> None:
     """What was recorded before has to be there. Raises `UsageError`."""
-    marker = out / MARKER
-    ours = set(marker.read_text(encoding="utf-8").splitlines()) if marker.is_file() else set()
-    if not ours.issuperset(names):
+    if not _list_ours(out).issuperset(names):
         raise UsageError(
             f"{out} does not hold the nights of campaign {campaign.name} before this one",
             expected="a folder to which they were simulated",
@@ -177,8 +181,7 @@ def _clear(out: Path) -> None:
         return
     if not out.is_dir():
         raise UsageError(f"{out} is not a folder", expected="a new folder, or one of an earlier simulation")
-    marker = out / MARKER
-    ours = set(marker.read_text(encoding="utf-8").splitlines()) | {MARKER} if marker.is_file() else set()
+    ours = _list_ours(out)
     present = sorted(path for path in out.rglob("*") if path.is_symlink() or not path.is_dir())
     for path in present:
         name = path.relative_to(out).as_posix()

@@ -59,12 +59,14 @@ def shared_batch(group: Sequence[Judged]) -> str:
 
 @dataclass(frozen=True)
 class Limit:
-    """Something that bounds the use of a specimen: what happens from where on, what else is known, its place on the page."""
+    """Something that bounds the use of a specimen: what happens from where on, what else is known, its place on the page, and the cause that a
+    diagnosis names for it."""
 
     specimen_id: str
     words: str
     detail: str
     anchor: str
+    mechanism: str
 
 
 _WRINKLING_SQL = """SELECT specimen_id, wrinkling_onset_kv, wrinkling_onset_kv_lower, wrinkling_onset_kv_upper
@@ -95,6 +97,7 @@ def limits(results: Results, campaign: str | None = None, *, specimen: str | Non
             f"the film wrinkles from {with_unit(_onset(r, 'wrinkling_onset_kv'), 'kV')} on",
             "Above it force and capacitance no longer follow V²; those steps are left out of the fits.",
             "steps",
+            "wrinkling",
         )
         for r in results.rows(Query(_WRINKLING_SQL.format(where=where), parameters))
     ]
@@ -103,7 +106,7 @@ def limits(results: Results, campaign: str | None = None, *, specimen: str | Non
         if r["specimen_id"] not in seen:
             seen.add(r["specimen_id"])
             found.append(
-                Limit(r["specimen_id"], f"the electrode migrates from cycle {_onset(r, 'onset_cycle', counted_bounds)} on", _distortion(r), "migration")
+                Limit(r["specimen_id"], f"the electrode migrates from cycle {_onset(r, 'onset_cycle', counted_bounds)} on", _distortion(r), "migration", "electrode_degradation")
             )  # fmt: skip
     return found
 

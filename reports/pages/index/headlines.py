@@ -61,8 +61,9 @@ def section(
     for group in shared:
         items.append(_shared_finding(site, group, full[group[0].specimen_id], wide=len(items) < _WIDE))
     # What a diagnosis names is told by it.
-    named = {s.specimen_id for s in alarms if s.verdict == "named"}
-    items += [found.limit_finding(site, limit, "") for limit in bounds if limit.specimen_id not in named][:_LIMITS]
+    named = {(s.specimen_id, m) for s in alarms if s.verdict == "named" for m in s.mechanisms}
+    open_bounds = [limit for limit in bounds if (limit.specimen_id, limit.mechanism) not in named]
+    items += [found.limit_finding(site, limit, "") for limit in open_bounds[:_LIMITS]]
     items += _out_of_control(site)
     for standing in (full[s.specimen_id] for s in alone[:_ALARMED]):
         wide = len([i for i in items if i.figure]) < _WIDE
