@@ -14,8 +14,8 @@ from schemas.arrays import Complex, Float
 
 _TURNS, _MOST_TURNS = 2, 10
 """Periods of a sweep that are followed, and most of a sinusoid: the slider finds its mean place within them."""
-_FEW_PATHS = 8
-"""Paths that are followed one by one rather than together."""
+_FEW_PATHS = 40
+"""Paths that are followed one by one rather than together: as many as take the same time."""
 _LOSS = 1e-3
 """Least loss factor at which the film is taken to relax within a period."""
 
@@ -44,12 +44,8 @@ def _slip(values: Values, variant: str) -> Effect:
         first, last = np.full((2, near.size), float(_TURNS if course.periodic else 1))
         if course.periodic and course.cycles is not None:
             first, last = (np.minimum(np.broadcast_to(c, shape[:-1]).ravel()[near], _MOST_TURNS) for c in course.cycles)
-        total, state = np.zeros_like(path), np.zeros((2, near.size))
-        for turn in range(1, int(np.ceil(last.max())) + 1):
-            slipped, relaxed, state = _follow(path, decay, held_by * flow, arm * flow, held, state)
-            lost = static / held_by * slipped + relaxed
-            total += np.where((turn >= first) & (turn <= last), path - lost, 0.0)
-        out = total / (last - first + 1)
+        slipped, relaxed = _follow(path, decay, held_by * flow, arm * flow, held, (first, last))
+        out = path - static / held_by * slipped - relaxed
         result = wave.reshape(-1, shape[-1]).copy()
         result[near] = out.T
         return np.asarray(result.reshape(shape))
@@ -58,26 +54,44 @@ def _slip(values: Values, variant: str) -> Effect:
 
 
 def _follow(
-    path: Float, decay: Float, to_slip: Float, to_arm: Float, held: float, state: Float
-) -> tuple[Float, Float, Float]:
+    path: Float, decay: Float, to_slip: Float, to_arm: Float, held: float, turns: tuple[Float, Float]
+) -> tuple[Float, Float]:
     """Forces that slip has taken along paths: of the springs that hold, and of the arm, which relaxes.
 
     Parameters
     ----------
-    path : (P, S) tension N, of S paths at P times
+    path : (P, S) tension N, of S paths at P times, which begin without slip and are followed again and again
     decay : (P, S) share of the arm's force that an interval leaves
     to_slip, to_arm : (P, S) what the excess over `held` N adds to either
-    state : (2, S) both forces before
+    turns : (S,) each, the first and last of the times that a path is followed whose mean is asked for
 
     Returns
     -------
-    (P, S), (P, S) and (2, S): both along the paths, and at their ends
+    (P, S) each, means of these turns
     """
+    first, last = turns
     if path.shape[1] <= _FEW_PATHS:
-        columns = [x.T.tolist() for x in (path, decay, to_slip, to_arm, state)]
-        rows = [_follow_one(held, *own) for own in zip(*columns, strict=True)]
-        slipped, relaxed = np.array(rows).transpose(1, 2, 0)
-        return slipped, relaxed, np.stack([slipped[-1], relaxed[-1]])
+        columns = [x.T.tolist() for x in (path, decay, to_slip, to_arm)]
+        means = [
+            np.reshape(_follow_one(held, *own, int(end)), (2, int(end), -1))[:, int(begin) - 1 :].mean(axis=1)
+            for *own, begin, end in zip(*columns, first, last, strict=True)
+        ]
+        slipped, relaxed = np.transpose(means, (1, 2, 0))
+        return slipped, relaxed
+    slipped, relaxed = np.zeros((2, *path.shape))
+    state = np.zeros((2, path.shape[1]))
+    for turn in range(1, int(last.max()) + 1):
+        *forces, state = _follow_together(path, decay, to_slip, to_arm, held, state)
+        counts = ((turn >= first) & (turn <= last)) / (last - first + 1)
+        slipped += counts * forces[0]
+        relaxed += counts * forces[1]
+    return slipped, relaxed
+
+
+def _follow_together(
+    path: Float, decay: Float, to_slip: Float, to_arm: Float, held: float, state: Float
+) -> tuple[Float, Float, Float]:
+    """Both forces (P, S) along one turn of many paths, and at its end (2, S), from those before it: `state` (2, S)."""
     # In place, for these steps are many and short.
     slipped, relaxed = np.empty_like(path), np.empty_like(path)
     slip, relaxing = state
@@ -101,17 +115,18 @@ def _follow_one(
     decay: list[float],
     to_slip: list[float],
     to_arm: list[float],
-    state: list[float],
+    turns: int,
 ) -> tuple[list[float], list[float]]:
-    """The same along one path of P times, in plain numbers: arrays of one are ten times slower."""
-    slip, relaxing = state
+    """The same along all turns of one path, in plain numbers: arrays of few are many times slower."""
+    slip = relaxing = 0.0
     slipped, relaxed = [], []
-    for tension, left, slips, loads in zip(path, decay, to_slip, to_arm, strict=True):
+    for tension, left, slips, loads in [*zip(path, decay, to_slip, to_arm, strict=True)] * turns:
         relaxing *= left
         pull = tension - slip - relaxing
-        pull -= -held if pull < -held else held if pull > held else pull
-        slip += pull * slips
-        relaxing += pull * loads
+        if pull > held or pull < -held:
+            pull -= held if pull > 0 else -held
+            slip += pull * slips
+            relaxing += pull * loads
         slipped.append(slip)
         relaxed.append(relaxing)
     return slipped, relaxed
