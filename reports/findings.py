@@ -15,7 +15,7 @@ from reports.evidence import Standing, beyond_noise, less_than_noise, no_relaxat
 from reports.names import short
 from reports.results import Row
 from schemas import numbers
-from schemas.explanations import Explanation, cause, has_unnamed_beside, list_explanations, tell_doubt
+from schemas.explanations import Explanation, cause, has_unnamed_beside, list_explanations, tell_doubt, tell_no_gain
 from schemas.mechanisms import (
     MECHANISMS,
     RECORD,
@@ -59,7 +59,7 @@ def headline(standing: Standing) -> Markup:
     if d and d["verdict"] == "named":
         removes = (
             ""
-            if d["gain"] is None
+            if d["gain"] is None or tell_no_gain(d)
             else f" Correcting it removes {removed(d['gain'], d['gain_lower'])} of the held-out error."
         )
         return flow(who, f": {what_is_wrong(standing)}.{removes}")
@@ -152,7 +152,9 @@ def evidence(standing: Standing) -> tuple[Piece, ...]:
         ids = listed([code(m) for m in d["mechanisms"] or [d["mechanism"]] if m])
         shown = f" Shown by {', '.join(d['supported_by'])}." if d["supported_by"] else ""
         sentences.append(flow(tag("named"), " · ", ids, ".", shown))
-        if d["held_out_error_before"] is not None and d["held_out_error_after"] is not None:
+        if tell_no_gain(d):
+            sentences.append(f"{tell_no_gain(d)} Gain: {gain(d)}.")
+        elif d["held_out_error_before"] is not None and d["held_out_error_after"] is not None:
             sentences.append(
                 f"The error on recordings that the fit has not seen falls from {significant(d['held_out_error_before'], 2)}"
                 f" to {significant(d['held_out_error_after'], 2)} times the noise."

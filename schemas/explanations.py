@@ -17,6 +17,8 @@ CREDIBLE = 0.95
 """Probability that explanations hold together which are said to be possible, and that one alone has which is named."""
 _TOLD = 4
 """Explanations that a sentence tells where there are two or more others; more would not be read."""
+_BY_RECORDINGS = 4.0
+"""Fall of χ² from which on recordings show a cause by themselves; below it what is known of film and rig does."""
 _PLAIN = "plain"
 """The explanation, in `probabilities`, that nothing is beside the simulation but noise."""
 
@@ -104,6 +106,23 @@ def cause(diagnosis: Mapping[str, Any]) -> str:
     beside = [tuple(m for m in one if m not in common) for one in explanations]
     perhaps = _choose([_state(one, beside, beside=True) for one in beside if one])
     return f"{sure}, and {'perhaps' if () in beside else 'in addition'} {perhaps}"
+
+
+def tell_no_gain(diagnosis: Mapping[str, Any]) -> str:
+    """What it means that recordings which the fit has not seen are predicted no better with the cause, from a row of `diagnoses`; empty where
+    they are.
+
+    A cause may yet be sure: where the plain model follows the recordings as well, it does so with constants of film or rig that
+    contradict what is known of them.
+    """
+    lower = diagnosis["gain_lower"]
+    if diagnosis["gain"] is None or lower is None or lower > 0:
+        return ""
+    no_better = "What the fit has not seen is predicted no better with it"
+    before, after = diagnosis["chi2"], diagnosis["chi2_extended"]
+    if before is None or after is None or before - after > _BY_RECORDINGS:
+        return f"{no_better}."
+    return f"{no_better}: the plain model follows these recordings too, but with constants that contradict what is known of film and rig."
 
 
 def tell_doubt(diagnosis: Mapping[str, Any]) -> str:

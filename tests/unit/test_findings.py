@@ -15,6 +15,7 @@ from pipeline.analyse.diagnosis_tables import diagnosis_tables, undiagnosed_tabl
 from pipeline.commands.show.diagnoses import describe_diagnoses
 from pipeline.lab.snapshot import Changes, publish
 from schemas.errors import UsageError
+from schemas.explanations import tell_no_gain
 from schemas.mechanisms import severity
 from tests.unit.test_diagnosis_tables import FIRST, NAMED, SECOND
 
@@ -75,6 +76,15 @@ def test_a_named_cause_is_told_with_size_gain_interval_and_what_moved(lab: Lab) 
     assert "leakage: 2.0 % droop" in text
     assert "Cannot be seen in these recordings\n    wrinkling" in text
     assert "What could not be asked\n    no temperature" in text
+
+
+def test_a_cause_that_brings_no_gain_is_not_said_to_bring_one() -> None:
+    row = {"gain": 0.01, "gain_lower": -0.005, "chi2": 1549.4, "chi2_extended": 1549.3}
+    no_better = "What the fit has not seen is predicted no better with it"
+    assert tell_no_gain(row).startswith(f"{no_better}: the plain model follows these recordings too")
+    assert tell_no_gain(row | {"chi2_extended": 1400.0}) == f"{no_better}."
+    assert tell_no_gain(row | {"gain_lower": 0.002}) == ""
+    assert tell_no_gain(row | {"gain": None, "gain_lower": None}) == ""
 
 
 def test_causes_that_cannot_be_told_apart_are_both_named_without_sizes(lab: Lab) -> None:

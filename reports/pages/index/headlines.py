@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from reports import findings
 from reports.blocks import (
     Figure,
     Finding,
     Findings,
+    Head,
     Piece,
+    Row,
     Section,
+    Table,
     Text,
     bold,
     flow,
@@ -40,6 +43,8 @@ _ALARMED, _MOST = 12, 20
 """Specimens with a finding of their own, and findings altogether."""
 _LIMITS = 4
 """Films and electrodes beyond their limit with a finding of their own."""
+_TO_DO = 2, 6
+"""Lines of what to do from which on they are worth a table, and most of them in it."""
 _POINTS = 2
 """Points out of control with a finding of their own."""
 
@@ -89,8 +94,9 @@ def section(
     items += _quiet(site, [s for s in standings if not s.alarm])
     if not items:
         return None
-    counts = _verdicts(standings)
-    return Section("findings", "Findings", "Findings", (*((counts,) if counts else ()), Findings(tuple(items))))
+    opening = (_verdicts(standings), _to_do(site, [*shared, *([s] for s in alone[:_ALARMED])], full))
+    blocks = (*(block for block in opening if block is not None), Findings(tuple(items)))
+    return Section("findings", "Findings", "Findings", blocks)
 
 
 def standing_in_words(standings: Sequence[Brief]) -> str:
@@ -136,6 +142,29 @@ def _verdicts(standings: Sequence[Brief]) -> Text | None:
     return Text(flow(begin, separated(parts), "."), "sub")
 
 
+def _to_do(site: Site, groups: Sequence[Sequence[Brief]], full: Mapping[str, Standing]) -> Table | None:
+    """What happened and what to do about it, in one line for specimens with one cause, where there is more than one line of it.
+
+    Parameters
+    ----------
+    groups : specimens that have one finding together, in the order of the findings
+    full : how the first of each stands
+    """
+    rows = []
+    for group in groups:
+        standing = full[group[0].specimen_id]
+        following = findings.what_next(standing.diagnosis)
+        if following is not None and standing.diagnosis is not None:
+            who = listed([site.specimen(s.specimen_id, "") for s in group])
+            rows.append(Row((who, f"{capital(cause(standing.diagnosis))}.", following.body)))
+    if len(rows) < _TO_DO[0]:
+        return None
+    more = len(rows) - _TO_DO[1]
+    heads = (Head("Specimen"), Head("What happened", "text"), Head("What to do", "text"))
+    note = f"{capital(digits(more, 'further line'))}: with the findings below." if more > 0 else ""
+    return Table("In short, what was found and what to do:", heads, tuple(rows[: _TO_DO[1]]), below=note)
+
+
 def _out_of_control(site: Site) -> list[Finding]:
     """The latest points that leave their control limits."""
     points = control.alarms(site)
@@ -153,7 +182,7 @@ def _specimen_finding(site: Site, standing: Standing, *, wide: bool) -> Finding:
     body = [*findings.evidence(standing), link("The specimen's page", site.specimen_path(standing.specimen_id))]
     # Of a fault nothing is to be seen in the recordings without it.
     is_fault = (standing.diagnosis or {}).get("stage") == RECORD
-    figure = (_told_figure(site, standing) or _evidence_figure(site, standing)) if wide and not is_fault else None
+    figure = (_told_figure if standing.verdict else _evidence_figure)(site, standing) if wide and not is_fault else None
     return Finding(
         findings.headline(standing),
         tuple(body),
@@ -180,8 +209,8 @@ def _shared_finding(site: Site, group: Sequence[Brief], first: Standing, *, wide
 
 
 def _told_figure(site: Site, standing: Standing) -> Figure | None:
-    """Measured against both models where they part most, where there is a diagnosis."""
-    return comparing_models.foremost(site, standing.specimen_id) if standing.verdict else None
+    """Measured against both models where they part most; none where nothing is to be seen."""
+    return comparing_models.foremost(site, standing.specimen_id)
 
 
 def _evidence_figure(site: Site, standing: Standing) -> Figure | None:

@@ -21,6 +21,8 @@ _TELLING = 4
 """Kinds of features that get a figure."""
 _WORTH = 0.5
 """χ² per value, beyond the noise and taken off by the extension together, from which a second figure is worth its place."""
+_SEEN, _CHANCE = 4.0, 3.0
+"""Fall of χ² by the extension, and χ² beyond the noise in its own standard deviations, from which on there is something to see."""
 _LEFT = 1.5
 """Residual of the extended model from which on it is said that something is left, SD."""
 _EXPLAINED = 0.01
@@ -72,7 +74,7 @@ def _figures(results: Results, specimen: str, keep: Keep) -> Iterator[Figure]:
     chosen.sort(key=lambda c: c is not first)
     shown = 0
     for one in chosen:
-        if one.worth > (_WORTH if shown else 0.0):
+        if one.is_worth_another if shown else one.shows_something:
             figure = _comparison(one, keep)
             if figure is not None:
                 shown += 1
@@ -103,9 +105,15 @@ class _Chosen:
         return _rank(self.rows)[0]
 
     @property
-    def worth(self) -> float:
-        """`missed` per value, of that which is drawn."""
-        return _rank(self.rows)[1] / len(self.rows)
+    def shows_something(self) -> bool:
+        """Whether what is drawn shows what the cause explains, or more than noise does by chance."""
+        gain, missed = _rank(self.rows)
+        return gain > _SEEN or missed > _CHANCE * (2 * len(self.rows)) ** 0.5
+
+    @property
+    def is_worth_another(self) -> bool:
+        """Whether it is worth a figure beside another."""
+        return self.shows_something and _rank(self.rows)[1] > _WORTH * len(self.rows)
 
 
 def _choose(kind: str, blocks: Mapping[Key, list[Record]]) -> _Chosen:
