@@ -166,14 +166,14 @@ class CyclicFamily(MechanicalFamily):
         self._against = self._find_references()
         self._added = self._find_added()
         self._read_groups = self._find_groups()
+        self._last: tuple[object, tuple[Linear, Loop, list[Complex]]] | None = None
 
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family; `loads` where the effect has elements or readings."""
-        linear = self.linear(physical, effect)
         if loads is None or not effect.tension:
-            values = self.apply(linear.response)
+            values = self.of_spectra(physical, effect)
         else:
-            values = self._with_elements(linear, physical, effect, loads)
+            values = self._with_elements(physical, effect, loads)
         if loads is not None and effect.reading:
             self._read(values, physical, effect, loads)
         return values
@@ -261,11 +261,20 @@ class CyclicFamily(MechanicalFamily):
                 last[i] = end
         return (2 * middle - last)[:, None], last[:, None]
 
-    def _with_elements(self, linear: Linear, physical: Physical, effect: Effect, loads: Loads) -> Float:
+    def _about_elements(self, physical: Physical, effect: Effect) -> tuple[Linear, Loop, list[Complex]]:
+        """What is linear about the elements: a search moves their numbers, and then film and rig stay."""
+        rig = physical.rigs[self.rig]
+        linear = effect.film, effect.rig, effect.clamp, effect.force, effect.displacement
+        key = self.view, physical.film, rig.numbers, rig.extra, linear
+        if self._last is None or self._last[0] != key:
+            self._last = key, (self.linear(physical, effect), *self.loop(physical, effect, self._own, self._cycles))
+        return self._last[1]
+
+    def _with_elements(self, physical: Physical, effect: Effect, loads: Loads) -> Float:
         """Features with the describing functions of the elements: of the response, of mean and harmonics."""
         rig, view = rig_of(physical, self.rig, effect), self._own[0]
         still = rig.at_rest(physical.film.k0)
-        loop, passing = self.loop(physical, effect, self._own, self._cycles)
+        linear, loop, passing = self._about_elements(physical, effect)
         mean_strain, rest = self._mean_strain / still, np.broadcast_to(view.rest_force_n, view.strain.shape)
         found = describe(effect.tension, loop, view.strain, mean_strain, rest, loads, view.scale)
         k = linear.k * found.factor
