@@ -294,6 +294,25 @@ def test_a_recording_of_which_only_the_amplifier_is_left_ends_no_diagnosis() -> 
     assert not check_recordings(features).faults
 
 
+def _with_noise(features: RecordingFeatures, quantity: str, factor: float) -> RecordingFeatures:
+    """A recording in which the noise of a channel has `factor` times the power."""
+    noise = [replace(n, power=factor * n.power) if n.quantity == quantity else n for n in features.noise]
+    return replace(features, noise=tuple(noise))
+
+
+def test_tests_under_voltage_that_are_all_in_doubt_are_judged_by_their_sizes() -> None:
+    """Without any of them the others say nothing of the actuation, nor of the capacitance."""
+    ranged = [_with_noise(r, "force", 1e6) if r.loading == "electrical" else r for r in sound()]
+    assert sum(own.is_suspect for own in read_levels(ranged)) == sum(r.loading == "electrical" for r in ranged)
+    assert not check_recordings(ranged).faults
+
+
+def test_the_noise_of_a_command_casts_no_doubt() -> None:
+    """A generator's numbers have less noise in one kind of test than in another."""
+    quiet = [_with_noise(r, "command", 1e-8) if r.protocol == "sphs" else r for r in sound()]
+    assert not any(own.is_suspect for own in read_levels(quiet))
+
+
 @pytest.mark.long_after(1)
 @pytest.mark.parametrize("seed", [SEED, ANOTHER_SEED])
 def test_a_sound_session_has_no_fault(seed: int) -> None:

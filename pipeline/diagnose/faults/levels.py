@@ -21,6 +21,8 @@ STRAIN, RATE, DRIVE, TENSION, SENSED, LENGTH, ACTUATION = (
 )  # fmt: skip
 NOISE = "noise "
 """Before a quantity: the level of its noise."""
+_TOLD = "command"
+"""The channel that is told and not measured: its noise is that of a generator's numbers, which differ by the kind of test."""
 _NU = 10.0
 """Degrees of freedom of the distribution of levels: tails as heavy as those of habits in a laboratory."""
 _SWEEP_READS = -0.03
@@ -185,6 +187,8 @@ def _density(features: RecordingFeatures) -> dict[str, float]:
     """Noise per Hz by quantity."""
     density: dict[str, list[float]] = {}
     for n in features.noise:
+        if n.quantity == _TOLD:
+            continue
         density.setdefault(n.quantity, []).append(float(np.median(n.power)) * n.interval_s)
     return {name: float(np.median(v)) for name, v in density.items()}
 

@@ -9,12 +9,20 @@ from functools import cached_property
 import numpy as np
 
 from pipeline.diagnose.faults.undo import RESPONSES, follow_block, scale_of, turn, turned
-from pipeline.diagnose.features.kinds import AMPLIFIER, CAPACITANCE, REST_HUM, SPHS_RESPONSE
+from pipeline.diagnose.features.kinds import (
+    AMPLIFIER,
+    CAPACITANCE,
+    CYCLIC_CAPACITANCE,
+    REST_HUM,
+    SPHS_CAPACITANCE,
+    SPHS_RESPONSE,
+    STEP_CAPACITANCE,
+)
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.plain_fit import PlainFit, make_bounds
 from pipeline.diagnose.simulation.effects import NONE, Effect, View
 from pipeline.diagnose.simulation.families import dynamic, film_at, rig_of
-from pipeline.diagnose.simulation.parameters import ACTUATION, BaseModel, Physical
+from pipeline.diagnose.simulation.parameters import ACTUATION, PER_DISPLACEMENT, PER_FORCE, BaseModel, Physical
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import find_marginal_root, minimise
@@ -25,6 +33,8 @@ _OTHER_FILMS = (0.1, 10.0)
 """Least and largest stiffness of another film over that of the others at which its search begins."""
 _FAR = 30.0
 """How far an entry of it may be from that of the others, in logarithms."""
+_ANY_ACTUATION = float(np.log(1000.0))
+"""Standard deviation of an actuation of which no sizes say anything, in logarithms: of units, a thousandfold is one step."""
 _STEPS = 20
 """Steps of that search at most."""
 _DIFFERENCE = 1e-4
@@ -52,6 +62,33 @@ class StretchedModel(BaseModel):
 def stretch_model(model: BaseModel, stretch: float) -> StretchedModel:
     """The model by a clock that claims `stretch` times the time."""
     return StretchedModel(**{f.name: getattr(model, f.name) for f in fields(BaseModel)}, stretch=stretch)
+
+
+def expect_actuation(fit: PlainFit, session: Session) -> PlainFit:
+    """The fit of recordings none of which is under voltage, with the actuation as sizes and permittivity have it: a test under voltage that
+    was left out of it is judged by that.
+
+    Parameters
+    ----------
+    fit : returned as it is where it knows the actuation
+    session : with the tests under voltage, where there are any
+    """
+    entry = next((e for e in session.base_model(fit.model.arms).entries if e.name == ACTUATION), None)
+    if entry is None or ACTUATION in fit.model.names:
+        return fit
+    entry = replace(entry, sd=min(entry.sd, _ANY_ACTUATION))
+    known = fit.solution.jacobian
+    jacobian = np.zeros((known.shape[0] + 1, known.shape[1] + 1))
+    jacobian[:-1, :-1], jacobian[-1, -1] = known, 1 / entry.sd
+    theta, residual = np.append(fit.theta, entry.mean), np.append(fit.solution.residual, 0.0)
+    solution = replace(fit.solution, x=theta, residual=residual, jacobian=jacobian)
+    return replace(fit, model=replace(fit.model, entries=(*fit.model.entries, entry)), theta=theta, solution=solution)
+
+
+def _list_unknown(model: BaseModel) -> tuple[str, ...]:
+    """Kinds of features that depend on what a fit without such features knows nothing of."""
+    under_voltage = () if PER_FORCE in model.names else (SPHS_CAPACITANCE, STEP_CAPACITANCE)
+    return under_voltage if PER_DISPLACEMENT in model.names else (*under_voltage, CYCLIC_CAPACITANCE)
 
 
 @dataclass(frozen=True)
@@ -89,10 +126,10 @@ class Suspect:
 
         With what shows the film; where there is nothing of that, with what there is.
         """
+        fit = expect_actuation(fit, session)
         theirs = [p.recording in numbers for p in session.places]
-        shows = [
-            own and p.block.kind not in (REST_HUM, *AMPLIFIER) for own, p in zip(theirs, session.places, strict=True)
-        ]
+        silent = {REST_HUM, *AMPLIFIER, *_list_unknown(fit.model)}
+        shows = [own and p.block.kind not in silent for own, p in zip(theirs, session.places, strict=True)]
         own = session.part(shows if any(shows) else theirs)
         states = replace(own.states, rig=np.full_like(own.states.rig, rig))
         on_rig = replace(own, rig=np.full_like(own.rig, rig), states=states)
