@@ -72,19 +72,19 @@ def _follow(
     first, last = turns
     if path.shape[1] <= _FEW_PATHS:
         columns = [x.T.tolist() for x in (path, decay, to_slip, to_arm)]
-        means = [
-            np.reshape(_follow_one(held, *own, int(end)), (2, int(end), -1))[:, int(begin) - 1 :].mean(axis=1)
-            for *own, begin, end in zip(*columns, first, last, strict=True)
-        ]
-        slipped, relaxed = np.transpose(means, (1, 2, 0))
-        return slipped, relaxed
+        means: list[Float] = []
+        for begin, end, *own in zip(first, last, *columns, strict=True):
+            forces = np.array(_follow_one(held, int(end), *own)).reshape(2, int(end), path.shape[0])
+            means.append(forces[:, int(begin) - 1 :].mean(axis=1))
+        both = np.array(means)
+        return both[:, 0].T, both[:, 1].T
     slipped, relaxed = np.zeros((2, *path.shape))
     state = np.zeros((2, path.shape[1]))
     for turn in range(1, int(last.max()) + 1):
-        *forces, state = _follow_together(path, decay, to_slip, to_arm, held, state)
+        slip, relaxing, state = _follow_together(path, decay, to_slip, to_arm, held, state)
         counts = ((turn >= first) & (turn <= last)) / (last - first + 1)
-        slipped += counts * forces[0]
-        relaxed += counts * forces[1]
+        slipped += counts * slip
+        relaxed += counts * relaxing
     return slipped, relaxed
 
 
@@ -111,11 +111,11 @@ def _follow_together(
 
 def _follow_one(
     held: float,
+    turns: int,
     path: list[float],
     decay: list[float],
     to_slip: list[float],
     to_arm: list[float],
-    turns: int,
 ) -> tuple[list[float], list[float]]:
     """The same along all turns of one path, in plain numbers: arrays of few are many times slower."""
     slip = relaxing = 0.0
