@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import sys
 from argparse import Namespace
+from pathlib import Path
 
 from pipeline.commands.command import DONE, LAB, Command, argument, parse_limit
-from pipeline.lab.lab import Lab
+from pipeline.lab.lab import DEFAULT_LAB, Lab
 from schemas.errors import UsageError
 
 
@@ -17,8 +19,9 @@ def run(arguments: Namespace) -> int:
     from schemas.views import EXAMPLES
 
     if arguments.examples:
+        lab = "" if Path(arguments.lab) == Path(DEFAULT_LAB) else f" --lab {shlex.quote(str(arguments.lab))}"
         for question, query in EXAMPLES:
-            print(f'# {question}\ndealab sql "{query}"\n')
+            print(f'# {question}\ndealab sql{lab} "{query}"\n')
         return DONE
     if arguments.query is None:
         raise UsageError("no query", expected="a SELECT between quotation marks; `dealab sql --examples` shows some")
