@@ -21,7 +21,7 @@ def run(arguments: Namespace) -> int:
     if arguments.examples:
         lab = "" if Path(arguments.lab) == Path(DEFAULT_LAB) else f" --lab {shlex.quote(str(arguments.lab))}"
         for question, query in EXAMPLES:
-            print(f'# {question}\ndealab sql{lab} "{query}"\n')
+            print(f'# {question}\ndealab sql "{query}"', f"{lab}\n", sep="")
         return DONE
     if arguments.query is None:
         raise UsageError("no query", expected="a SELECT between quotation marks; `dealab sql --examples` shows some")

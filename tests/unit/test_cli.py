@@ -152,7 +152,7 @@ def test_sql_that_is_wrong_points_at_the_place(lab: Lab, capsys: pytest.CaptureF
 
 def test_examples_need_no_lab(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sql", "--examples", "--lab", "/nonexistent"]) == 0
-    assert 'dealab sql --lab /nonexistent "SELECT * FROM survival_at(60)"' in said(capsys)[0]
+    assert 'dealab sql "SELECT * FROM survival_at(60)" --lab /nonexistent' in said(capsys)[0]
     assert main(["sql", "--examples"]) == 0
     assert 'dealab sql "SELECT * FROM survival_at(60)"' in said(capsys)[0]
 
