@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from reports.names import visible
+from reports.names import short, visible
+from reports.results import Row
 from schemas.numbers import true_minus
 
 FOLLOWED = {
@@ -70,6 +71,11 @@ def test(name: str | None) -> str:
     """A statistical test by its proper name."""
     text = visible(name or "test")
     return _TESTS.get(text, text[:1].upper() + text[1:])
+
+
+def against(row: Row) -> str:
+    """`B against A`, of a row that compares configurations: its differences are B less A, its ratios B over A."""
+    return " against ".join(short(row[f"configuration_{x}"] or "", 44) for x in "ba")
 
 
 def remark(text: str | None) -> str:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
+import numpy as np
 import pytest
 from markupsafe import Markup
 
+from pipeline.fit.survival import comparisons
 from reports import findings
 from reports.blocks import Figure, Finding, Findings, Fold, Head, Row, Table
 from reports.evidence import Standing
@@ -19,6 +22,7 @@ from reports.pages.index.page import end_in_words, tally
 from reports.pages.index.trouble import reason
 from reports.pages.specimen import diagnosis as diagnosis_page
 from reports.pages.specimen import models
+from reports.results import Query
 from schemas import explanations, mechanisms
 from schemas.tables import TABLES
 from tests.helpers.mechanism_ids import CONTRACT
@@ -251,6 +255,20 @@ def test_constants_that_left_their_file_are_said() -> None:
         "The fit finds the load cell at 21.160 ± 0.020 N/mm where its file says 20.2 ± 0.3 N/mm: 3.2 SD apart."
     ]
     assert findings.remarks(Standing("PA-3", None, None, fit, None)) == ()
+
+
+def test_a_pair_is_named_in_the_order_of_its_difference() -> None:
+    """`B against A` beside a difference B less A: who lives shorter stands before a minus."""
+    long_lives, short_lives = ((np.array(t), np.ones(3, dtype=bool)) for t in ([95.0, 99.0, 90.0], [9.0, 12.0, 20.0]))
+    for (first, a), (second, b) in itertools.permutations((("divided", long_lives), ("single", short_lives))):
+        compared = comparisons.compare(first, a, second, b, 7.5, 100.0)
+        rows = [asdict(c) | {"statistic_lower": c.lower, "statistic_upper": c.upper, "p_value_holm": None, "warnings": ""} for c in compared]  # fmt: skip
+        of = lives.Lives(6, 6, 99.0, [], [], [], rows, [], [], {"comparisons": Query("SELECT 1\nORDER BY test")})
+        main = next(b for b in lives._comparisons(of) if isinstance(b, Table))
+        difference = {str(r.cells[0]): str(r.cells[2]) for r in main.rows if "mean" in str(r.cells[1])}
+        assert list(difference) == [f"{second} against {first}"]
+        assert difference[f"{second} against {first}"].startswith("−") == (second == "single")
+        assert "the first less the second" in str(main.below)
 
 
 def test_exact_tests_are_believed_before_asymptotic_ones() -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from reports import words
 from reports.blocks import Block, Figure, Fold, Head, Row, Section, Table, bold, filled, flow
 from reports.figures import sensing as figures
 from reports.names import short, visible
@@ -142,7 +143,7 @@ def forces(draft: Draft) -> Section | None:
     rows = tuple(
         Row(
             (
-                flow(short(r["configuration_b"], 44), " against ", short(r["configuration_a"], 44)), str(r["direction"]),
+                words.against(r), str(r["direction"]),
                 f"{compact(r['stretch_1'])} × {compact(r['stretch_2'])}", compact(r["voltage_kv"], 2),
                 f"{r['specimens_b']} and {r['specimens_a']}",
                 bounds(r["difference_n"], r["difference_n_lower"], r["difference_n_upper"], 1e3),

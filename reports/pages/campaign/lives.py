@@ -425,13 +425,22 @@ def _notes(lives: Lives) -> list[Block | Fold]:
     return [Table(caption, heads, rows, lives.queries["notes"].shown())]
 
 
+_SIGNS = (
+    "One against the other: a difference of restricted means is the first less the second, a hazard ratio the first over the second;"
+    " a permutation test states the failures of the second, observed less expected."
+)
+
+
 def _comparisons(lives: Lives) -> list[Block | Fold]:
     """The test that is trusted most and the effect size of each pair; all other tests folded."""
     if not lives.comparisons:
         return []
     best = min(_trust(c) for c in lives.comparisons)
     main = [c for c in lives.comparisons if _trust(c) == best or _EFFECT in (c["test"] or "")]
-    below = "Exact permutation tests count every relabelling of the specimens; where groups are small they, not χ², are to be believed."
+    below = (
+        "Exact permutation tests count every relabelling of the specimens; where groups are small they, not χ², are to be believed."
+        f" {_SIGNS}"
+    )
     caption = "Comparison of the groups"
     everyone = lives.queries["comparisons"]
     tests = {f"test_{i}": test for i, test in enumerate(sorted({c["test"] for c in main if c["test"]}))}
@@ -439,7 +448,7 @@ def _comparisons(lives: Lives) -> list[Block | Fold]:
     these = Query(everyone.sql.replace("\nORDER BY", among), {**everyone.parameters, **tests})
     blocks: list[Block | Fold] = [_comparison_table(lives, main, these, caption, below)]
     if len(main) < len(lives.comparisons):
-        everything = _comparison_table(lives, lives.comparisons, everyone, "All comparisons of the groups", "")
+        everything = _comparison_table(lives, lives.comparisons, everyone, "All comparisons of the groups", _SIGNS)
         blocks.append(Fold(f"All {digits(len(lives.comparisons), 'comparison')}, by other tests, too", (everything,)))
     return blocks
 
@@ -449,7 +458,7 @@ def _comparison_table(lives: Lives, shown: Sequence[Record], query: Query, capti
     for c in sorted(
         shown, key=lambda c: (c["configuration_a"] or "", c["configuration_b"] or "", c["voltage_kv"] or 0.0)
     ):
-        pair = f"{short(c['configuration_a'] or '', 44)} – {short(c['configuration_b'] or '', 44)}"
+        pair = words.against(c)
         if c["voltage_kv"] is not None and len({v for _, v in lives.groups}) > 1:
             pair += f", {with_unit(compact(c['voltage_kv']), 'kV')}"
         statistic = write_bounds(c, "statistic")
