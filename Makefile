@@ -65,7 +65,7 @@ demo: $(RUNTIME)
 	@echo "  $(BIN)/dealab diagnose PA-1 --lab $(DEMO)/lab"
 	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab 'SELECT specimen_id, model_order FROM best_models'"
 	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab 'SELECT * FROM survival_at(60)'"
-	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab 'SELECT source_path, problem FROM without_result'"
+	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab 'SELECT what, name, status, problem FROM needs_attention'"
 
 thesis: $(RUNTIME)
 	$(BIN)/dealab simulate thesis --out $(DEMO)/thesis/raw --truth $(DEMO)/thesis/truth.json

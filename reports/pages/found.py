@@ -14,6 +14,7 @@ from reports.blocks import Finding, flow, link, name
 from reports.results import Query, Results
 from reports.results import Row as Record
 from reports.site import Site
+from schemas.mechanisms import FILM
 from schemas.numbers import bounds, counted, counted_bounds, percent, with_unit
 
 SHARED = 3
@@ -129,6 +130,18 @@ def limit_finding(site: Site, limit: Limit, root: str) -> Finding:
     page = link("Where it is shown", f"{root}{site.specimen_path(limit.specimen_id)}#{limit.anchor}")
     title = flow("Specimen ", name(limit.specimen_id), f": {limit.words}")
     return Finding(title, (*((limit.detail,) if limit.detail else ()), page), "open")
+
+
+def leave_out_named(found: Sequence[Limit], standings: Sequence[Judged]) -> list[Limit]:
+    """The limits whose cause no diagnosis names for that specimen: what one names is told by it."""
+    named = {(s.specimen_id, m) for s in standings if s.verdict == "named" for m in s.mechanisms}
+    return [limit for limit in found if (limit.specimen_id, limit.mechanism) not in named]
+
+
+def tell_shared(stage: str) -> str:
+    """Where a cause is rather that several specimens have, by the stage at which it acts."""
+    where = "the material than in one film" if stage == FILM else "the rig than in the film"
+    return f"one cause in all of them, so rather in {where}"
 
 
 def in_words(found: Sequence[Limit]) -> str:

@@ -212,6 +212,14 @@ def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+def test_what_the_demonstration_says_to_try_can_be_asked(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    queries = re.findall(r"""dealab sql --lab \$\(DEMO\)/lab ['"](SELECT [^'"]*)['"]""", makefile)
+    assert len(queries) > 3
+    for query in queries:
+        assert main(["sql", query, "--lab", "lab"]) == 0, capsys.readouterr().err
+
+
 def as_in_the_test(code: str) -> str:
     """Names of the demonstration's specimens exchanged for those of the lab at hand."""
     return code.replace("PA-1-sphs-7kV", "P-05_chirp-1").replace("PA-1", "P-07").replace("PA-3", "P-07")

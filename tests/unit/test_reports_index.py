@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,7 @@ def test_only_its_own_cause_hides_a_limit(mechanism: str, told_apart: bool, tmp_
     )  # fmt: skip
     page = build_index(story, tmp_path)
     assert ("the film wrinkles from" in page) == told_apart
+    assert (re.search(r"<h1>[^<]*one film wrinkles", page) is not None) == told_apart
     # One thing to do stands with its finding.
     assert "In short, what was found" not in page
 

@@ -134,11 +134,12 @@ def _findings(draft: Draft, fitted: Sequence[Standing]) -> Section | None:
     groups = found.sharing(alarms)
     for group in groups:
         who = listed([site.specimen(s.specimen_id) for s in group])
-        body = flow(who, ": one cause in all of them, so rather in the rig than in the film.")
+        body = flow(who, f": {found.tell_shared((group[0].diagnosis or {}).get('stage') or '')}.")
         items.append(
             Finding(f"{capital(counted(len(group), 'specimen'))}: {what_is_wrong(group[0])}", (body,), "named")
         )
-    items += [found.limit_finding(site, one, "../") for one in found.limits(draft.results, draft.item)]
+    bounds = found.leave_out_named(found.limits(draft.results, draft.item), alarms)
+    items += [found.limit_finding(site, one, "../") for one in bounds]
     together = {s.specimen_id for group in groups for s in group}
     alone = [s for s in alarms if s.specimen_id not in together]
     for standing in alone[:_TOLD]:

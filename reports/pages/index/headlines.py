@@ -34,7 +34,7 @@ from reports.pages.specimen import comparing_models, film
 from reports.site import CONTROL, SPECIMENS, Site
 from reports.standings import Brief, of_lab
 from schemas.explanations import cause
-from schemas.mechanisms import FILM, RECORD
+from schemas.mechanisms import RECORD
 from schemas.numbers import capital, counted, digits, significant, word
 
 _WIDE = 2
@@ -65,10 +65,7 @@ def section(
     full = {s.specimen_id: s for s in of_lab(site.results, [s.specimen_id for s in told])}
     for group in shared:
         items.append(_shared_finding(site, group, full[group[0].specimen_id], wide=len(items) < _WIDE))
-    # What a diagnosis names is told by it.
-    named = {(s.specimen_id, m) for s in alarms if s.verdict == "named" for m in s.mechanisms}
-    open_bounds = [limit for limit in bounds if (limit.specimen_id, limit.mechanism) not in named]
-    items += [found.limit_finding(site, limit, "") for limit in open_bounds[:_LIMITS]]
+    items += [found.limit_finding(site, limit, "") for limit in bounds[:_LIMITS]]
     items += _out_of_control(site)
     for standing in (full[s.specimen_id] for s in alone[:_ALARMED]):
         wide = len([i for i in items if i.figure]) < _WIDE
@@ -197,9 +194,9 @@ def _shared_finding(site: Site, group: Sequence[Brief], first: Standing, *, wide
     pages = [link(name(s.specimen_id), site.specimen_path(s.specimen_id)) for s in group]
     batch = found.shared_batch(group)
     diagnosis = first.diagnosis or {}
-    where = "the material than in one film" if diagnosis.get("stage") == FILM else "the rig than in the film"
+    shared = found.tell_shared(diagnosis.get("stage") or "")
     body = (
-        flow(listed(pages), f": one cause in all of them, so rather in {where}. Of ", name(first.specimen_id), ":"),
+        flow(listed(pages), f": {shared}. Of ", name(first.specimen_id), ":"),
         *findings.evidence(first),
     )
     who: Piece = flow(" of batch ", name(batch)) if batch else ""

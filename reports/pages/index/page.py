@@ -44,7 +44,7 @@ def page(site: Site) -> Page:
         (c, lives.load(_campaign_draft(site, c), single=False)) for c in site.campaigns[: arrived.CAMPAIGNS_SHOWN]
     ]
     counts = _counts(site)
-    bounds = found.limits(site.results)
+    bounds = found.leave_out_named(found.limits(site.results), standings)
     run = site.last_run
     sections = [
         s
