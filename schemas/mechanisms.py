@@ -202,10 +202,10 @@ MECHANISMS: dict[str, Mechanism] = {
     ),
     "clamp_slip": Mechanism(
         "Slipping clamp",
-        "the clamp slips, from {} of the peak force on",
+        "the clamp slips, where the tension rises or falls by more than {}",
         {
-            "slip_force": _share("of the peak force"),
             "slip_force_n": Parameter("slip force", 1.0, "N"),
+            "slip_force": _share("of the peak force"),
             "overload": _BEYOND,
             "hardening": _share("of k₀ holds a part that slips"),
         },
@@ -364,8 +364,9 @@ def finding(mechanism: str, parameters: Mapping[str, Any], *, beside: bool = Fal
     if main is None:
         return _leave_size_out(known.finding)
     if mechanism == "rig_constants":
-        main = max((k for k in known.parameters if k in parameters), key=lambda k: _z(parameters[k]))
-        return _rig_finding(main, parameters[main])
+        by_z = sorted((k for k in known.parameters if k in parameters), key=lambda k: -_z(parameters[k]))
+        sure = [k for k in by_z if _z(parameters[k]) > _SURE]
+        return ", and ".join(_rig_finding(k, parameters[k]) for k in sure or by_z[:1])
     text, size = known.finding, parameters[main]
     if known.reverse and _value(size) < 0:
         text, size = known.reverse, _positive(size)
@@ -392,6 +393,10 @@ def _positive(value: Any) -> Any:
 def _value(value: Any) -> float:
     number = value.get("value") if isinstance(value, dict) else value
     return float(number) if isinstance(number, int | float) else 0.0
+
+
+_SURE = 2.0
+"""Standard deviations from which on each constant of a rig that is off is told."""
 
 
 def _z(value: Any) -> float:

@@ -86,6 +86,10 @@ def test_a_stiffness_that_is_not_resolved_stands_in_no_heading() -> None:
             {"stiffness_error": {"value": 0.063, "sd": 0.003}},
             "the load cell is stiffer than its file says, by 6.3 ± 0.3 %",
         ),
+        (
+            {"mass_error": {"value": 0.08, "sd": 0.011}, "stiffness_error": {"value": 0.079, "sd": 0.016}},
+            "the clamp is heavier than its file says, by 8.0 ± 1.1 %, and the load cell is stiffer than its file says, by 7.9 ± 1.6 %",
+        ),
         ({"mass_error": {"value": -0.02, "sd": 0.004}}, "the clamp is lighter than its file says, by 2.0 ± 0.4 %"),
         (
             {"mass_error": {"value": 0.001, "sd": 0.004}, "stiffness_error": {"value": -0.05, "sd": 0.01}},
