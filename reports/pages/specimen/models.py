@@ -77,8 +77,7 @@ def order(draft: Draft, fits: Sequence[Record], chosen: Record) -> Section:
             f" {whole(chosen['frequency_lines'])} lines from {compact(chosen['frequency_low_hz'])} to"
             f" {compact(chosen['frequency_high_hz'])}{NBSP}Hz; they depend on that grid. {below}"
         )
-    rules = _rules(chosen)
-    below = f"{rules} {below}" if rules else below
+    below = " ".join(filter(None, (_rules(chosen), _tell_next(fits, chosen), below)))
     kept, shown = filled(heads, rows)
     table = Table(
         "Evidence for the order of the model", kept, shown, query.shown(), _method_note(chosen), below, "narrow"
@@ -86,17 +85,33 @@ def order(draft: Draft, fits: Sequence[Record], chosen: Record) -> Section:
     return Section("order", _order_heading(fits, chosen), "Order", (table,))
 
 
+def _tell_next(fits: Sequence[Record], chosen: Record) -> str:
+    """Why the order that the last row is tested against has no row."""
+    last = siblings(fits, chosen)[-1]
+    if last["order_p_value"] is None:
+        return ""
+    return f"The {ordinal(last['model_order'] + 1)} order has no row: it was fitted for that test alone, or bounded by the best relaxation of any order."
+
+
 _RULES = {"test": "likelihood-ratio test", "bic": "BIC", "held_out": "held-out error"}
 
 
-def _rules(chosen: Record) -> str:
-    """What each rule would choose."""
+def _choices(chosen: Record) -> dict[str, int]:
+    """The order that each rule would choose."""
     try:
-        choices = json.loads(chosen["choices"] or "{}")
-        texts = [f"{_RULES.get(rule, rule)}: {int(order)}" for rule, order in choices.items()]
+        return {str(rule): int(order) for rule, order in json.loads(chosen["choices"] or "{}").items()}
     except (ValueError, TypeError, AttributeError):
+        return {}
+
+
+def _rules(chosen: Record) -> str:
+    """What each rule would choose, and which of them decided."""
+    texts = [f"{_RULES.get(rule, rule)}: {order}" for rule, order in _choices(chosen).items()]
+    if not texts:
         return ""
-    return f"Order that each rule chooses: {visible(', '.join(texts))}." if texts else ""
+    tested = chosen["order_p_value"] is not None
+    decides = f" The test decides, at the level {_LEVEL:g}." if tested else ""
+    return f"Order that each rule chooses: {visible(', '.join(texts))}.{decides}"
 
 
 _HOW = {
@@ -130,10 +145,20 @@ def _order_heading(fits: Sequence[Record], chosen: Record) -> str:
         tried = f", the highest that was tried; a {following} was not tested" if highest else ""
         return f"{order} order is chosen{tried}"
     if p >= _LEVEL:
-        return f"A {following} relaxation would gain nothing"
+        return f"A {following} relaxation is not shown ({p_equals(p)}, level {_LEVEL:g}){_dissent(chosen)}"
     if highest:
         return f"{order} order is chosen, the highest that was fitted; a {following} would fit better still ({p_equals(p)})"
     return f"{order} order is chosen"
+
+
+def _dissent(chosen: Record) -> str:
+    """Which rules would choose another order than the test did."""
+    others: dict[int, list[str]] = {}
+    for rule, order in _choices(chosen).items():
+        if order != chosen["model_order"]:
+            others.setdefault(order, []).append(_RULES.get(rule, visible(rule)))
+    said = [f"{' and '.join(rules)} would choose order {order}" for order, rules in sorted(others.items())]
+    return f"; {', '.join(said)}" if said else ""
 
 
 def parameters(draft: Draft, fits: Sequence[Record], chosen: Record, stated: Mapping[str, Any]) -> Section:

@@ -83,12 +83,16 @@ def _relaxes(row: Record) -> bool:
 
 def _heading(courses: Sequence[Course]) -> str:
     first = courses[0]
-    falls = f"{significant(first.stiffness[0], 2)} to {with_unit(significant(first.stiffness[-1], 2), first.unit)}"
+    before, after = significant(first.stiffness[0], 2), with_unit(significant(first.stiffness[-1], 2), first.unit)
+    kept, falls = with_unit(before, first.unit) == after, f"{before} to {after}"
     until = f"{significant(float(first.time[0]), 1)} to {significant(float(first.time[-1]), 2)}{NBSP}s"
     if not first.unit:
-        return f"After the step the output over the input goes from {falls} in {until}"
+        said = f"stays at {after} from {until}" if kept else f"goes from {falls} in {until}"
+        return f"After the step the output over the input {said}"
     off = [c.off for c in courses if c.off is not None]
-    text = f"The film relaxes from {falls} in {until}"
+    text = (
+        f"The film keeps {after} from {until} after the step" if kept else f"The film relaxes from {falls} in {until}"
+    )
     if not off:
         return text
     return f"{text}; the model {'follows to' if max(off) < MISSES else 'misses that by'} {percent(max(off))}"
