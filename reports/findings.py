@@ -15,7 +15,15 @@ from reports.evidence import Standing, beyond_noise, less_than_noise, no_relaxat
 from reports.names import short
 from reports.results import Row
 from schemas import numbers
-from schemas.explanations import Explanation, cause, has_unnamed_beside, list_explanations, tell_doubt, tell_no_gain
+from schemas.explanations import (
+    REMOVABLE,
+    Explanation,
+    cause,
+    has_unnamed_beside,
+    list_explanations,
+    tell_doubt,
+    tell_no_gain,
+)
 from schemas.mechanisms import (
     MECHANISMS,
     RECORD,
@@ -36,7 +44,7 @@ LESS_THAN_NOISE = "the model leaves less than the errors that the fit reckons wi
 
 
 def gain(diagnosis: Row) -> str:
-    """What the extension removes of the removable held-out error, with its 95 % limits where they are known."""
+    """What the extension removes of the squared held-out error beyond the noise, with its 95 % limits where they are known."""
     if diagnosis["gain"] is None:
         return ""
     return removed(diagnosis["gain"], diagnosis["gain_lower"], diagnosis["gain_upper"])
@@ -60,7 +68,7 @@ def headline(standing: Standing) -> Markup:
         removes = (
             ""
             if d["gain"] is None or tell_no_gain(d)
-            else f" Correcting it removes {removed(d['gain'], d['gain_lower'])} of the held-out error."
+            else f" Correcting it removes {removed(d['gain'], d['gain_lower'])} of the squared held-out error beyond the noise."
         )
         return flow(who, f": {what_is_wrong(standing)}.{removes}")
     if d and has_unnamed_beside(d):
@@ -153,12 +161,12 @@ def evidence(standing: Standing) -> tuple[Piece, ...]:
         shown = f" Shown by {', '.join(d['supported_by'])}." if d["supported_by"] else ""
         sentences.append(flow(tag("named"), " · ", ids, ".", shown))
         if tell_no_gain(d):
-            sentences.append(f"{tell_no_gain(d)} Gain: {gain(d)}.")
+            sentences.append(f"{tell_no_gain(d)} Gain: {gain(d)} {REMOVABLE}.")
         elif d["held_out_error_before"] is not None and d["held_out_error_after"] is not None:
             sentences.append(
                 f"The error on recordings that the fit has not seen falls from {significant(d['held_out_error_before'], 2)}"
                 f" to {significant(d['held_out_error_after'], 2)} times the noise."
-                + (f" Gain: {gain(d)} of what can be removed." if d["gain"] is not None else "")
+                + (f" Gain: {gain(d)} {REMOVABLE}." if d["gain"] is not None else "")
             )
     elif has_unnamed_beside(d):
         ids = listed([code(m) for m in d["mechanisms"]])

@@ -17,6 +17,8 @@ CREDIBLE = 0.95
 """Probability that explanations hold together which are said to be possible, and that one alone has which is named."""
 _TOLD = 4
 """Explanations that a sentence tells where there are two or more others; more would not be read."""
+REMOVABLE = "of the squared error beyond the noise"
+"""What a gain is a share of: χ² of the plain model on what was left out, less the number of its values."""
 _BY_RECORDINGS = 4.0
 """Fall of χ² from which on recordings show a cause by themselves; below it what is known of film and rig does."""
 _PLAIN = "plain"

@@ -65,7 +65,7 @@ def specimen_table(
     if diagnosed:
         heads += [Head("Verdict"), Head("Cause"), Head("Gain", "n")]
     below = "± is one standard deviation." + (
-        " Gain: share of the removable held-out error that the extension removes." if diagnosed else ""
+        " Gain: share of the squared held-out error beyond the noise that the extension removes." if diagnosed else ""
     )
     return Table(caption, tuple(heads), tuple(rows), query.shown(), below=below)
 

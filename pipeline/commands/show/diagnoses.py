@@ -11,7 +11,7 @@ from pipeline.lab.reader import Reader
 from schemas.alike import ask_meant
 from schemas.corrections import write_corrections
 from schemas.errors import UsageError
-from schemas.explanations import cause, has_unnamed_beside, list_explanations, tell_doubt, tell_no_gain
+from schemas.explanations import REMOVABLE, cause, has_unnamed_beside, list_explanations, tell_doubt, tell_no_gain
 from schemas.mechanisms import (
     UNLISTED,
     amount,
@@ -134,9 +134,9 @@ def _describe_gain(row: Row) -> Iterator[str]:
         return
     share = removed(row["gain"], row["gain_lower"], row["gain_upper"])
     if tell_no_gain(row):
-        yield f"  {tell_no_gain(row)} Gain: {share}."
+        yield f"  {tell_no_gain(row)} Gain: {share} {REMOVABLE}."
         return
-    yield f"  Mending it removes {share} of the removable error on data that the fit has not seen:"
+    yield f"  Mending it removes {share} {REMOVABLE} on data that the fit has not seen:"
     yield f"  {significant(before)} → {significant(after)} times the noise."
     parts = sorted(json.loads(row["held_out_parts"] or "{}").items(), key=lambda part: -part[1]["before"])
     if len(parts) > 1:

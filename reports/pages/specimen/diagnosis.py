@@ -40,7 +40,7 @@ from reports.results import Query
 from reports.results import Row as Record
 from reports.words import remark
 from schemas.corrections import write_corrections
-from schemas.explanations import tell_doubt
+from schemas.explanations import REMOVABLE, tell_doubt
 from schemas.mechanisms import amount, candidate, main, nested, parameter_words, plain_name
 from schemas.mechanisms import severity as severity_words
 from schemas.numbers import (
@@ -377,8 +377,8 @@ def _places(d: Record, found: Sequence[Record], query: Query) -> list[Block]:
         Head("Share of the misfit explained", "barcell"), Head("Severity"),
     )  # fmt: skip
     below = (
-        "Each cause was fitted to a part of the record and had to predict the rest; the gain is the share of the removable error"
-        " there. The last two columns are of fits to everything: what follows what it has seen explains nothing yet."
+        "Each cause was fitted to a part of the record and had to predict the rest; the gain is the share of the squared error"
+        " beyond the noise there. The last two columns are of fits to everything: what follows what it has seen explains nothing yet."
     )
     note = f"the plain model errs by {significant(d['held_out_error_before'], 3)} times the noise"
     return [
@@ -410,7 +410,7 @@ def _gain(draft: Draft, d: Record) -> list[Block]:
     address = draft.data("diagnosis_held_out", {"left_out": names, "plain": first, "extended": second})
     caption = flow(
         bold(
-            f"Gain: {gain(d)} of the removable held-out error."
+            f"Gain: {gain(d)} {REMOVABLE}."
             if d["gain"] is not None
             else "No gain is stated: on these data the plain model errs by little more than the noise."
         ),
