@@ -5,23 +5,29 @@ from __future__ import annotations
 import itertools
 import json
 from dataclasses import asdict, replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from markupsafe import Markup
 
+from pipeline.commands.show import diagnoses as show
+from pipeline.diagnose.search import held_out
 from pipeline.fit.survival import comparisons
 from reports import findings
 from reports.blocks import Figure, Finding, Findings, Fold, Head, Row, Table
 from reports.evidence import Standing
+from reports.figures import palette
 from reports.pages import specimens
-from reports.pages.campaign import lives
+from reports.pages.campaign import causes, lives
+from reports.pages.campaign import page as campaign
 from reports.pages.campaign.lives import decisive
 from reports.pages.index import page as index
 from reports.pages.index.page import end_in_words, tally
 from reports.pages.index.trouble import reason
 from reports.pages.specimen import diagnosis as diagnosis_page
-from reports.pages.specimen import models
+from reports.pages.specimen import models, relaxing
 from reports.results import Query
 from schemas import explanations, mechanisms
 from schemas.tables import TABLES
@@ -182,8 +188,57 @@ def test_named() -> None:
     text = plain(findings.headline(Standing("P-07", None, None, None, d)).striptags())
     assert (
         text
-        == "Specimen P-07: the force channel is late, by 87 ± 5 µs. Correcting it removes 97 % of the held-out error."
+        == "Specimen P-07: the force channel is late, by 87 ± 5 µs. Correcting it removes 97 % of the squared held-out error"
+        " beyond the noise."
     )
+
+
+def test_a_gain_says_of_what_it_is_a_share() -> None:
+    """From 2200 to 530 times the noise is 76 % of the error, and 94 % of its square, which is what the gain is of."""
+    before, after, size = 2200.0, 530.0, 156
+    share = held_out._compute_gain(size * before**2, size * after**2, size)
+    assert float(share) == pytest.approx(0.942, abs=5e-4)
+    d = diagnosis(
+        "named", mechanism="slack", mechanisms=["slack"], gain=float(share), gain_lower=0.82, gain_upper=0.97,
+        held_out_error_before=before, held_out_error_after=after,
+    )  # fmt: skip
+    said = plain(findings.evidence(Standing("P-07", None, None, None, d))[-1])
+    assert said.endswith("Gain: 94 % (95 % interval 82 % to 97 %) of the squared error beyond the noise.")
+    terminal = " ".join(plain(line) for line in show._describe_gain(d))
+    assert "removes 94 % (95 % interval 82 % to 97 %) of the squared error beyond the noise" in terminal
+    d |= {"gain_lower": -0.1}
+    assert "of the squared error beyond the noise." in plain(
+        findings.evidence(Standing("P-07", None, None, None, d))[-1]
+    )
+    assert "of the squared error beyond the noise." in " ".join(plain(line) for line in show._describe_gain(d))
+
+
+def test_specimens_that_have_a_diagnosis_and_no_model_are_not_counted_with_one() -> None:
+    fit = {"model_order": 1}
+    fitted, other = Standing("A", None, None, fit, None), Standing("B", None, None, None, diagnosis("named"))
+    assert campaign.count_models([fitted, fitted]) == "Two specimens with a model"
+    assert campaign.count_models([fitted, fitted, other]) == "Three specimens, two with a model"
+    assert campaign.count_models([other]) == "One specimen, none with a model"
+    [left] = campaign._tell_undrawn([fitted, other], {"A"})
+    assert plain(left.body).endswith("a frequency response: B.")
+    assert campaign._tell_undrawn([fitted], {"A"}) == []
+
+
+def test_causes_have_no_colours_of_the_groups_beside_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [
+        {"configuration": group, "voltage_kv": 7.5, "failure_site": site, "time_s": t, "failures": 1, "probability": 0.1 * t,
+         "lower_95": None, "upper_95": None}
+        for group in ("divided", "single") for site in ("lead", "rod") for t in (1.0, 2.0)
+    ]  # fmt: skip
+    drawn: list[Any] = []
+    monkeypatch.setattr(causes, "draw_incidence", lambda panels, *_, **__: drawn.extend(panels) or Markup(""))
+    draft = SimpleNamespace(item="c", results=SimpleNamespace(rows=lambda _: rows), data=lambda *_: "")
+    labels = {("divided", 7.5): "divided", ("single", 7.5): "single"}
+    assert causes.incidence(cast(Any, draft), 1.0, labels, "Time") is not None
+    used = [one.drawn for _, panel in drawn for one in panel]
+    assert len(used) == 4
+    assert len(set(used)) == 2
+    assert not {palette.group(i) for i in range(len(labels))} & set(used)
 
 
 def test_what_is_beside_causes_that_are_certain_is_no_alternative_to_them() -> None:
@@ -315,9 +370,9 @@ def test_a_night_that_makes_what_is_known_again_says_so() -> None:
     ("chosen", "p", "heading"),
     [
         (3, 0.009, "Third order is chosen, the highest that was fitted; a fourth would fit better still (p = 0.0090)"),
-        (3, 0.3, "A fourth relaxation would gain nothing"),
+        (3, 0.3, "A fourth relaxation is not shown (p = 0.30, level 0.01)"),
         (3, None, "Third order is chosen, the highest that was tried; a fourth was not tested"),
-        (2, 0.3, "A third relaxation would gain nothing"),
+        (2, 0.3, "A third relaxation is not shown (p = 0.30, level 0.01)"),
     ],
 )
 def test_no_order_is_the_last_only_because_nobody_tried_on(chosen: int, p: float | None, heading: str) -> None:
@@ -330,10 +385,41 @@ def test_no_order_is_the_last_only_because_nobody_tried_on(chosen: int, p: float
             "weighting": "noise",
             "extension": "",
             "order_p_value": p,
+            "choices": None,
         }
         for n in (1, 2, 3)
     ]
     assert plain(models._order_heading(fits, fits[chosen - 1])) == heading
+    told = models._tell_next(fits, fits[chosen - 1])
+    assert told.startswith("The fourth order has no row") if p else not told
+
+
+def test_the_title_of_an_order_tells_the_rules_that_would_choose_another() -> None:
+    """ "Would gain nothing" stood over a table in which BIC chose the next order, and χ² fell by it."""
+    fit = {
+        "model_order": 2,
+        "loading": "mechanical",
+        "method": "forward",
+        "weighting": "noise",
+        "extension": "",
+        "order_p_value": 0.022,
+    }
+    one = fit | {"choices": '{"test": 2, "bic": 3, "held_out": 2}'}
+    both = fit | {"choices": '{"test": 2, "bic": 3, "held_out": 3}'}
+    fits = [fit, fit | {"model_order": 3}]
+    title = "A third relaxation is not shown (p = 0.022, level 0.01); {} would choose order 3"
+    assert plain(models._order_heading(fits, one)) == title.format("BIC")
+    assert plain(models._order_heading(fits, both)) == title.format("BIC and held-out error")
+    assert models._rules(one).endswith("held-out error: 2. The test decides, at the level 0.01.")
+    assert "decides" not in models._rules(one | {"order_p_value": None})
+
+
+def test_a_film_that_keeps_its_force_does_not_relax() -> None:
+    time = np.array([0.03, 1.0, 4.6])
+    kept = relaxing.Course("r", time, np.array([0.2512, 0.2470, 0.2462]), None)
+    falls = relaxing.Course("r", time, np.array([1.5, 0.8, 0.41]), None)
+    assert plain(relaxing._heading([kept])) == "The film keeps 0.25 N/mm from 0.03 to 4.6 s after the step"
+    assert plain(relaxing._heading([falls])) == "The film relaxes from 1.5 to 0.41 N/mm in 0.03 to 4.6 s"
 
 
 def test_a_night_with_nothing_new_still_tells_of_what_stands_refused() -> None:

@@ -45,7 +45,15 @@ def incidence(
     shown = several[:_MOST_PANELS]
     names = sorted({r["failure_site"] or "unknown" for key in shown for r in of[key]})
     drawn = [
-        (labels.get(key, ""), [_course(of[key], name, names, factor) for name in names if _named(of[key], name)])
+        (
+            labels.get(key, ""),
+            [
+                # The groups' own colours stand in the figures beside: a cause has another one.
+                _course(of[key], name, palette.group(len(labels) + i), factor)
+                for i, name in enumerate(names)
+                if _named(of[key], name)
+            ],
+        )
         for key in shown
     ]
     ends = "; ".join(
@@ -67,13 +75,12 @@ def _named(rows: list[Record], cause: str) -> bool:
     return any((r["failure_site"] or "unknown") == cause for r in rows)
 
 
-def _course(rows: list[Record], cause: str, names: list[str], factor: float) -> Incidence:
+def _course(rows: list[Record], cause: str, group: palette.Group, factor: float) -> Incidence:
     own = [r for r in rows if (r["failure_site"] or "unknown") == cause]
 
     def real(column: str) -> Float:
         return np.array([np.nan if r[column] is None else r[column] for r in own], dtype=float)
 
-    group = palette.group(names.index(cause))
     return Incidence(cause, group, factor * real("time_s"), real("probability"), real("lower_95"), real("upper_95"))
 
 

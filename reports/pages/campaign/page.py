@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 
 import numpy as np
 from markupsafe import Markup
@@ -22,6 +22,7 @@ from reports.blocks import (
     Row,
     Section,
     Table,
+    Text,
     flow,
     link,
     listed,
@@ -268,6 +269,11 @@ def multiples(
     site: Site, standings: Sequence[Standing], root: str, most: int = MOST
 ) -> tuple[tuple[Figure, ...], bool]:
     """Small responses of specimens, those with a finding first, and whether they share their axes."""
+    return _draw_multiples(site, _find_multiples(site, standings, most), root)
+
+
+def _find_multiples(site: Site, standings: Sequence[Standing], most: int) -> list[tuple[Standing, Multiple]]:
+    """Specimens with a frequency response to draw, those with a finding first."""
     items: list[tuple[Standing, Multiple]] = []
     for standing in sorted(standings, key=lambda s: (not s.alarm, s.specimen_id))[: 2 * most]:
         responses = measured(site.results, standing.specimen_id, "mechanical")
@@ -280,6 +286,12 @@ def multiples(
             else None
         )
         items.append((standing, Multiple(standing.specimen_id, lines, drawn, standing.alarm)))
+    return items
+
+
+def _draw_multiples(
+    site: Site, items: Sequence[tuple[Standing, Multiple]], root: str
+) -> tuple[tuple[Figure, ...], bool]:
     if not items:
         return (), True
     x, y = shared_scales([m for _, m in items])
@@ -314,14 +326,37 @@ def _specimens(draft: Draft, fitted: Sequence[Standing]) -> Section | None:
     if not fitted:
         return None
     blocks: list[Block | Fold] = []
-    figures, _ = multiples(draft.site, fitted, "../")
-    if figures:
-        blocks.append(Many(figures))
+    items = _find_multiples(draft.site, fitted, MOST)
+    if items:
+        blocks.append(Many(_draw_multiples(draft.site, items, "../")[0]))
+        blocks += _tell_undrawn(fitted, {s.specimen_id for s, _ in items})
     blocks.append(specimen_table(draft.site, "../", "r.campaign = $item", draft.item, "Specimens of the campaign"))
     alarms = sum(s.alarm for s in fitted)
-    heading = f"{capital(word(len(fitted)))} specimen{'s' if len(fitted) != 1 else ''} with a model"
-    heading += f", {word(alarms)} to look at" if alarms else ", all within the noise"
+    heading = f"{count_models(fitted)}, {f'{word(alarms)} to look at' if alarms else 'all within the noise'}"
     return Section("specimens", heading, "Specimens", tuple(blocks))
+
+
+def count_models(standings: Sequence[Standing]) -> str:
+    """`Seven specimens, six with a model`: a diagnosis needs none."""
+    everyone, fitted = len(standings), sum(s.fit is not None for s in standings)
+    text = f"{capital(word(everyone))} specimen{'s' if everyone != 1 else ''}"
+    if fitted == everyone:
+        return f"{text} with a model"
+    return f"{text}, {word(fitted) if fitted else 'none'} with a model"
+
+
+def _tell_undrawn(fitted: Sequence[Standing], drawn: Set[str]) -> list[Text]:
+    """Which specimens of the list have no small response above it."""
+    left = [s.specimen_id for s in fitted if s.specimen_id not in drawn]
+    if not left:
+        return []
+    if len(fitted) > MOST:
+        return [Text(f"Drawn: {len(drawn)} of {len(fitted)}, those with a finding first.")]
+    return [
+        Text(
+            f"Not drawn, for want of two usable lines of a frequency response: {joined([short(s, 40) for s in left])}."
+        )
+    ]
 
 
 _PROTOCOL_SQL = """SELECT protocol, loading, kind, count(*) FILTER (WHERE status IN ('ok', 'damaged')) AS used,
