@@ -144,6 +144,40 @@ KEYS_OF_TESTS: Mapping[str, tuple[tuple[str, str], ...]] = MappingProxyType(
 """Keys of a recording that say how one kind of test was run: the protocols and loadings of which something is made of them."""
 
 
+@dataclass(frozen=True)
+class Need:
+    """Keys without which a test cannot be simulated, so that no diagnosis is made from it; `unless` it has this channel."""
+
+    keys: tuple[str, ...]
+    unless: str = ""
+
+
+NEEDS: Mapping[tuple[str, str], Need] = MappingProxyType(
+    {
+        ("chirp", MECHANICAL): Need(("frequency_start_hz", "frequency_stop_hz")),
+        ("cyclic", MECHANICAL): Need(("frequency_hz",)),
+        ("cycle", MECHANICAL): Need(("film_length_mm",), unless="stretch"),
+    }
+)
+"""By protocol and loading what a diagnosis needs and no record shows well enough. Other results may come all the same."""
+
+
+def tell_needed(keys: str) -> str:
+    """What it costs that `keys`, as a text of one or several, are missing, and what to do."""
+    return (
+        f"no diagnosis: {keys} missing, without which the recording cannot be simulated; expected in its metadata."
+        f" Add {keys} to [recording] of the mapping TOML, or to the metadata of a native file"
+    )
+
+
+def find_needed_keys(given: Container[str], channels: Container[str], name: str, loading: str) -> tuple[str, ...]:
+    """Keys that a diagnosis needs and that are not among the given ones, for a test with these channels."""
+    need = NEEDS.get((name, loading))
+    if need is None or need.unless in channels:
+        return ()
+    return tuple(key for key in need.keys if key not in given)
+
+
 def find_unused_keys(given: Container[str], name: str, loading: str) -> tuple[str, ...]:
     """The given keys of which nothing is made in a test of that protocol and loading."""
     return tuple(key for key, tests in KEYS_OF_TESTS.items() if key in given and (name, loading) not in tests)

@@ -103,7 +103,8 @@ TABLES: tuple[Table, ...] = (
     ),
     Table(
         "without_result",
-        "every recording or table that led to no result, and what was missing; refused files as well",
+        "every recording or table that led to no result, or to no diagnosis for want of a key that its protocol needs, and what was"
+        " missing; refused files as well",
         (
             text("recording_id", "the recording; NULL where a refused file's id cannot be read"),
             text("source_path", "file it was read from, absolute"),

@@ -12,7 +12,7 @@ from pipeline.commands.show.status import describe_lab
 from pipeline.lab.annotations import annotate
 from pipeline.nightly.night import nightly
 from tests.faults.lab_state import healthy, select
-from tests.helpers.small_lab import about, life, write
+from tests.helpers.small_lab import about, chirp, life, write
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -121,3 +121,65 @@ def test_what_was_refused_is_said_with_its_reason(tmp_path: Path) -> None:
     assert select(lab, "SELECT verdict FROM diagnoses WHERE specimen_id = 'S-2'") == [(None,)]
     ((reasons,),) = select(lab, "SELECT could_not_ask FROM diagnoses WHERE specimen_id = 'S-2'")
     assert "its response is refused, so that nothing can be said of it" in reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "lacking"),
+    [
+        ({}, "frequency_start_hz and frequency_stop_hz missing"),
+        ({"frequency_start_hz": 1}, "frequency_stop_hz missing"),
+        ({"frequency_start_hz": 1, "frequency_stop_hz": 20}, None),
+    ],
+)
+def test_a_sweep_that_cannot_be_simulated_is_told_with_the_key_that_lacks(
+    tmp_path: Path, given: dict[str, float], lacking: str | None
+) -> None:
+    """A sweep without its frequencies had a response and no diagnosis, and the night said "all done"."""
+    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
+    raw.mkdir()
+    chirp(raw / "swept.mcap", 1, **({"frequency_start_hz": "", "frequency_stop_hz": ""} | given))
+    summary = nightly([raw], lab, jobs=0)
+    found = select(lab, ROWS)
+    attention = select(lab, "SELECT name, problem FROM needs_attention WHERE status = 'without result'")
+    if lacking is None:
+        assert (found, attention) == ([], [])
+        return
+    assert summary.exit_status == 4
+    assert "1 recording led to no result" in summary.paragraph()
+    ((name, status, missing),) = found
+    assert (name, status) == ("swept", "ok")
+    assert f"no diagnosis: {lacking}" in missing
+    assert "to [recording] of the mapping TOML" in missing
+    assert attention == [("swept", missing)]
+    assert "all done" not in (lab.reports / "index.html").read_text(encoding="utf-8")
+    assert lacking in describe_lab(lab)
+
+
+@pytest.mark.parametrize(
+    ("protocol", "channels", "lacking"),
+    [
+        ("cyclic", ("displacement", "force"), "frequency_hz"),
+        ("cycle", ("displacement", "force"), "film_length_mm"),
+        ("cycle", ("stretch", "stress"), None),
+    ],
+)
+def test_what_a_test_needs_for_its_diagnosis_is_told_where_it_lacks(
+    tmp_path: Path, protocol: str, channels: tuple[str, str], lacking: str | None
+) -> None:
+    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
+    raw.mkdir()
+    t = np.arange(8000) / 200.0
+    noise = np.random.default_rng(7)
+    sine, triangle = np.sin(2 * np.pi * t), np.interp(t, [0, 20, 40], [0, 1, 0])
+    moved = triangle if protocol == "cycle" else 0.2 * sine
+    units = ("mm", "N") if channels[0] == "displacement" else ("1", "kPa")
+    values = (moved + (1 if channels[0] == "stretch" else 0), 2 * moved + noise.normal(0, 1e-3, t.size))
+    recorded = {name: (unit, value) for name, unit, value in zip(channels, units, values, strict=True)}
+    write(raw / "one.mcap", about("one", protocol, "mechanical", "S-1", 0), 200.0, recorded)
+    nightly([raw], lab, jobs=0)
+    told = [missing for _, _, missing in select(lab, ROWS)]
+    if lacking is None:
+        assert told == []
+    else:
+        (missing,) = told
+        assert f"no diagnosis: {lacking} missing" in missing

@@ -499,3 +499,28 @@ def test_a_test_seen_in_columns_that_no_name_tells_is_asked_and_not_called_sure(
     assert told.shape is not None
     assert told.shape.certainty == "sure"
     assert "recording.protocol" not in {q.key for q in told.questions}
+
+
+def write_sweep(path: Path) -> Path:
+    """A sweep from 1 to 20 Hz on a spring; nothing in the file says its frequencies."""
+    t = np.arange(0, 10, 0.005)
+    x = 0.5 * np.sin(2 * np.pi * 10 / np.log(20) * (20 ** (t / 10) - 1))
+    rows = [f"{a:.3f},{b:.5f},{c:.5f}" for a, b, c in zip(t, x, 0.3 * x, strict=True)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(["time (s),displacement (mm),force (N)", *rows, ""]))
+    return path
+
+
+SWEPT = ["specimen_id=P-07", "started_at=2026-03-01T14:05:00+01:00"]
+
+
+def test_the_preview_says_which_results_will_not_come(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It promised models of a sweep, and the night had no diagnosis for want of the sweep's frequencies."""
+    path = write_sweep(tmp_path / "run7.csv")
+    assert main(["add", str(path), "--yes", *SWEPT]) == 0
+    told = capsys.readouterr().out
+    assert "no diagnosis: frequency_start_hz and frequency_stop_hz missing" in told
+    assert "no modulus: film_length_mm, film_width_mm, film_thickness_mm missing" in told
+    frequencies = ["frequency_start_hz=1", "frequency_stop_hz=20"]
+    assert main(["add", str(path), "--replace", "--yes", *SWEPT, *frequencies]) == 0
+    assert "no diagnosis" not in capsys.readouterr().out

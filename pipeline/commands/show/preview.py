@@ -16,6 +16,7 @@ from pipeline.transform.loops import find_loops
 from pipeline.transform.relaxation import relaxation_curve
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
+from schemas.protocols import find_needed_keys, tell_needed
 from schemas.quantities import QUANTITIES
 from schemas.recording import RawRecording, Recording
 
@@ -112,6 +113,9 @@ def _describe_recording(recording: Recording) -> Iterator[str]:
     missing = [key for key in _SIZES if getattr(about, key) is None]
     if about.protocol in _NEEDS_MODULUS and about.loading == "mechanical" and missing:
         yield f"             no modulus: {', '.join(missing)} missing"
+    needed = find_needed_keys(about.to_text(), recording.channels, about.protocol, about.loading)
+    if needed:
+        yield f"             {tell_needed(' and '.join(needed))}"
     if about.rig_id is None and about.protocol in ("chirp", "cyclic"):
         yield "             the resonance of clamp and load cell stays in: no rig_id"
     if (about.protocol, about.loading) == ("cycle", "mechanical"):
