@@ -6,7 +6,8 @@ From diagnoses where they were made; else from what the fits and the lifetimes s
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from markupsafe import Markup
 
@@ -30,6 +31,7 @@ from schemas.mechanisms import (
     UNLISTED,
     list_actions,
     model_name,
+    nested,
     plain_name,
     quote_name,
 )
@@ -195,17 +197,34 @@ def _by_ids(explanation: Explanation, of: Sequence[Explanation]) -> Piece:
     return flow(ids, " alone") if any({*explanation} < {*other} for other in of) else ids
 
 
-def what_next(diagnosis: Row | None) -> Next | None:
-    """The recording that would decide, or what to do about the causes that are named."""
+def what_next(diagnosis: Row | None, stated: Mapping[str, Any] | None = None) -> Next | None:
+    """The recording that would decide, or what to do about the causes that are named; `stated`: constants of the rig's file."""
     if not diagnosis:
         return None
     if diagnosis.get("verdict") == "named":
         actions = list_actions(diagnosis.get("mechanisms") or ())
-        return Next("What to do", " ".join(actions)) if actions else None
+        constants = _tell_constants(diagnosis, stated or {})
+        return Next("What to do", " ".join([*actions, *constants])) if actions else None
     if not diagnosis["next_recording"]:
         return None
     text = capital(name_causes(str(diagnosis["next_recording"])))
     return Next("Next recording to make", f"{text.rstrip('.')}.")
+
+
+_ERRORS = {"mass_error": "clamp_mass_kg", "stiffness_error": "load_cell_stiffness_n_per_mm"}
+
+
+def _tell_constants(diagnosis: Row, stated: Mapping[str, Any]) -> list[str]:
+    """What a rig's file would say by the diagnosis, where its constants are what is wrong."""
+    found = nested(diagnosis.get("severity")).get("rig_constants", {})
+    told = []
+    for error, key in _ERRORS.items():
+        filed, off = _number(stated.get(key)), found.get(error)
+        if filed and isinstance(off, dict) and off.get("sd"):
+            told.append(f"{key} = {pm(filed * (1 + off['value']), filed * off['sd'])} in place of {significant(filed)}")
+    return (
+        [f"By these recordings: {listed(told)}."] if told and "rig_constants" in (diagnosis["mechanisms"] or ()) else []
+    )
 
 
 _CAUSES = re.compile(r"\b(?:" + "|".join(sorted((m for m in MECHANISMS if "_" in m), key=len, reverse=True)) + r")\b")

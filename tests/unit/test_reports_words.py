@@ -107,6 +107,19 @@ def test_rig_constants_say_which_and_in_which_direction(severity: dict[str, obje
     assert plain(mechanisms.finding("rig_constants", severity)) == expected
 
 
+def test_constants_that_are_off_are_told_as_the_file_would_say_them() -> None:
+    severity = json.dumps({"rig_constants": {"mass_error": {"value": 0.08, "sd": 0.011}}})
+    row = {"verdict": "named", "mechanisms": ["rig_constants"], "severity": severity}
+    following = findings.what_next(row, {"clamp_mass_kg": "0.188"})
+    assert following is not None
+    assert plain(str(following.body)).endswith(
+        "By these recordings: clamp_mass_kg = 0.2030 ± 0.0021 in place of 0.188."
+    )
+    without = findings.what_next(row)
+    assert without is not None
+    assert "By these recordings" not in without.body
+
+
 def test_what_is_not_all_of_it_is_not_a_hundred_percent_of_a_severity() -> None:
     assert plain(mechanisms.amount("passive_strip", main_of("passive_strip"), 0.9998)) == "99.98 %"
 

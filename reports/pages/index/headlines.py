@@ -150,7 +150,7 @@ def _to_do(site: Site, groups: Sequence[Sequence[Brief]], full: Mapping[str, Sta
     rows = []
     for group in groups:
         standing = full[group[0].specimen_id]
-        following = findings.what_next(standing.diagnosis)
+        following = findings.what_next(standing.diagnosis, standing.stated)
         if following is not None and standing.diagnosis is not None:
             who = listed([site.specimen(s.specimen_id, "") for s in group])
             rows.append(Row((who, f"{capital(cause(standing.diagnosis))}.", following.body)))
@@ -184,7 +184,7 @@ def _specimen_finding(site: Site, standing: Standing, *, wide: bool) -> Finding:
         findings.headline(standing),
         tuple(body),
         findings.kind(standing),
-        findings.what_next(standing.diagnosis),
+        findings.what_next(standing.diagnosis, standing.stated),
         figure,
     )
 
@@ -202,7 +202,7 @@ def _shared_finding(site: Site, group: Sequence[Brief], first: Standing, *, wide
     who: Piece = flow(" of batch ", name(batch)) if batch else ""
     title = flow(f"{capital(word(len(group)))} specimens", who, f": {cause(diagnosis)}.")
     figure = _told_figure(site, first) if wide else None
-    return Finding(title, body, findings.kind(first), findings.what_next(first.diagnosis), figure)
+    return Finding(title, body, findings.kind(first), findings.what_next(first.diagnosis, first.stated), figure)
 
 
 def _told_figure(site: Site, standing: Standing) -> Figure | None:

@@ -84,7 +84,7 @@ def section(draft: Draft, standing: Standing) -> Section | None:
     blocks += _candidates(draft, d)
     blocks += _gain(draft, d)
     blocks += _film(draft, d)
-    following = what_next(d)
+    following = what_next(d, standing.stated)
     if following:
         blocks.append(Next(following.title, flow(following.body, _separation(d))))
     blocks += _visible(draft, d)
