@@ -17,7 +17,7 @@ import numpy as np
 from reports.figures.curves import arms, band, rig, stiffness
 from reports.figures.responses import Curve, Lines, Residual, residual
 from reports.results import Query, Results, Row
-from schemas.arrays import Float
+from schemas.arrays import Complex, Float
 
 STIFFNESS = "stiffness_n_per_mm"
 MISSES = 0.2
@@ -263,11 +263,16 @@ def _recorded_residual(fit: Row, found: Measured, stated: Mapping[str, Any]) -> 
     if fit["method"] != "forward" or constants is None or not parts:
         return None
     gains = _gains(fit)
-    residuals = []
+    expected = []
     for recording, lines in parts.items():
         k = stiffness(fit, lines.frequency)
-        gain = gains.get(recording, gains.get(f"amplitude {found.amplitude[recording]:g}", 1.0))
-        residuals.append(residual(lines, gain * constants.recorded(k, lines.frequency), recorded=True))
+        # The fit names what moves alike by three digits of the amplitude; that of a record has more.
+        gain = gains.get(recording, gains.get(f"amplitude {found.amplitude[recording]:.3g}", 1.0))
+        expected.append(gain * constants.recorded(k, lines.frequency))
+    level = _find_level(list(parts.values()), expected) if gains else 1.0
+    residuals = [
+        residual(lines, level * values, recorded=True) for lines, values in zip(parts.values(), expected, strict=True)
+    ]
     frequency = np.concatenate([r.frequency for r in residuals])
     order = np.argsort(frequency, kind="stable")
     return Residual(
@@ -276,6 +281,20 @@ def _recorded_residual(fit: Row, found: Measured, stated: Mapping[str, Any]) -> 
         np.concatenate([r.phase for r in residuals])[order],
         recorded=True,
     )
+
+
+def _find_level(measured: Sequence[Lines], expected: Sequence[Complex]) -> float:
+    """The common factor by which records are nearest to what is expected of them; 1 where no noise is known.
+
+    The factors of recordings are stored as of the best relaxation of any order, which has a level of its own: their ratios alone hold
+    for each model.
+    """
+    lines = together(measured)
+    model = np.concatenate(expected)[np.argsort(np.concatenate([m.frequency for m in measured]), kind="stable")]
+    good = lines.usable & (lines.component > 0)
+    weight = lines.component[good] ** -2.0
+    size = float(np.sum(weight * np.abs(model[good]) ** 2))
+    return float(np.sum(weight * (np.conj(model[good]) * lines.value[good]).real)) / size if size > 0 else 1.0
 
 
 def _gains(fit: Row) -> dict[str, float]:

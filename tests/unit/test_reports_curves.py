@@ -13,6 +13,7 @@ from scipy import stats
 from pipeline.physics.film import RelaxationModel
 from reports import evidence
 from reports.figures import curves
+from reports.figures.responses import Lines
 from reports.pages.campaign.places import clopper_pearson
 from reports.pages.campaign.reference import POLYACRYLATE, SILICONE, STACK, reference
 from schemas.tables import TABLES
@@ -79,6 +80,29 @@ def test_recorded_response_against_integration_in_time(frequency: float, magnitu
 def test_a_rigid_cell_shows_the_whole_actuation_force() -> None:
     film = curves.stiffness(POLYACRYLATE.models[2].row(), F)
     np.testing.assert_allclose(curves.Rig(0.01, 1e9, 0.0).actuated(film, F), 1, rtol=1e-3)
+
+
+def test_the_factors_of_a_fit_find_their_recordings_whatever_the_level_of_their_own() -> None:
+    """Records at 0.049999 are those of `amplitude 0.05`; factors are stored as of another relaxation, 0.7 of this one."""
+    cell, resonance = 20.0, 2 * np.pi * 52
+    mass, damping = 1e3 * cell / resonance**2, 2 * 0.005 * cell / resonance
+    shown = {
+        **fit(), **POLYACRYLATE.models[2].row(), "method": "forward", "clamp_mass_kg": mass / 1e3, "load_cell_stiffness_n_per_mm": cell,
+        "load_cell_damping_n_s_per_mm": damping,
+        "spread": json.dumps({"gains": {"amplitude 0.05": 0.7 * 1.1, "amplitude 0.15": 0.7 * 0.9}}),
+    }  # fmt: skip
+    rig = curves.rig(shown, {})
+    assert rig is not None
+    random, parts = np.random.default_rng(seed=5), {}
+    for name, gain in (("a", 1.1), ("b", 0.9)):
+        value = gain * rig.recorded(curves.stiffness(shown, F), F)
+        noise = 1e-3 * (random.normal(size=F.size) + 1j * random.normal(size=F.size))
+        every = np.ones(F.size)
+        parts["measured", name] = Lines(F, value + noise, 1e-3 * np.sqrt(2) * every, every > 0, every)
+    found = evidence.Measured(parts, None, {"a": 0.049999, "b": 0.150002})
+    left = evidence._recorded_residual(shown, found, {})
+    assert left is not None
+    assert left.rms == pytest.approx(1.0, rel=0.15)
 
 
 def test_band_against_random_draws() -> None:
