@@ -292,7 +292,7 @@ def _worst(panel: Panel, f: Float, off: Float, times_noise: float | None) -> Non
     panel.held(f[wrong], off[wrong], WRONG, 4.2)
     i = int(np.nanargmax(np.abs(off)))
     at = f"most at {compact(float(f[i]), 2)} Hz"
-    text = at if times_noise is None else f"{significant(times_noise, 2)} times the noise, {at}"
+    text = at if times_noise is None else f"over all data {significant(times_noise, 2)} times the noise; {at}"
     x = float(panel.px(f[[i]])[0])
     anchor = "end" if x > panel.left + 0.4 * panel.width else None
     y = panel.top + 10 if off[i] > 0 else panel.bottom - 5

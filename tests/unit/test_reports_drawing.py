@@ -8,6 +8,7 @@ import io
 import itertools
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -19,7 +20,7 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from PIL import Image
 
-from reports.figures import comparison, control, diagnosis, film, life_models, recording, steps, survival
+from reports.figures import actuator, comparison, control, diagnosis, film, life_models, recording, steps, survival
 from reports.figures.backend import DENSE, write_svg
 from reports.figures.drawn import drawn_before
 from reports.figures.palette import group, misfit
@@ -27,6 +28,7 @@ from reports.figures.panel import Drawing, Panel
 from reports.figures.picture import pictured
 from reports.figures.responses import Curve, Lines, beyond, find_jump, residual, response
 from reports.figures.scale import Scale, apart, linear, logarithmic, nice, tick_text
+from reports.pages.specimen import film as response_page
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -190,8 +192,25 @@ def test_a_misfit_is_named_by_the_measure_of_the_headline() -> None:
     curves = [Curve(1, True, model, data.frequency, data.value, residual(data, model), times_noise=4.2)]
     image = parsed(response(data, None, curves, phase=False, alt="x", alarm=True))
     texts = [e.text or "" for e in image if e.tag == SVG + "text"]
-    assert "4.2 times the noise, most at 100 Hz" in texts
+    assert "over all data 4.2 times the noise; most at 100 Hz" in texts
     assert not any(" SD at " in text for text in texts)
+    # what the response alone leaves is another number: the caption tells both
+    fit = {"spread": '{"gain_sd": 0.01, "relative_sd": 0.02}'}
+    said = response_page._over_all(fit, curves)
+    assert said.endswith("with what recordings differ by counted as noise, the first order leaves 4.2 times the noise.")
+    assert "differ" not in response_page._over_all({"spread": None}, curves)
+    same = replace(curves[0], times_noise=curves[0].residual.rms)
+    assert response_page._over_all(fit, [same]) == ""
+
+
+def test_names_of_lines_that_lie_on_each_other_stand_apart() -> None:
+    """A film that hardly relaxes has the same line at 10 Hz and at the lowest: their names were printed over each other."""
+    stroke, force = np.array([0.0, 0.2]), np.array([0.06, 0.0])
+    both = [actuator.Line(n, stroke * f, force, force, force) for n, f in (("10 Hz", 1.0), ("0.0347 Hz", 1.001))]
+    image = parsed(actuator.force_stroke(both, alt="x"))
+    heights = [float(e.get("y") or "nan") for e in image.iter(SVG + "text") if "Hz" in "".join(e.itertext())]
+    assert len(heights) == 2
+    assert abs(heights[0] - heights[1]) > 12
 
 
 def test_residual_is_in_sd_of_one_component() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -57,7 +58,11 @@ def response(
 
     first = Figure(
         drawn(phase=False, alt=f"Dynamic stiffness of {who} goes from {rise} {span}."),
-        flow(bold("Magnitude."), " ", misfits, " ", _legend(draft, curves, found)),
+        flow(
+            bold("Magnitude."),
+            " ",
+            " ".join(filter(None, (misfits, _over_all(chosen, curves), _legend(draft, curves, found)))),
+        ),
         left,
     )
     second = Figure(
@@ -129,6 +134,26 @@ def _misfits(curves: Sequence[Curve]) -> str:
         return f"No noise is stated; root mean square residual of the magnitude: {', '.join(texts)}."
     where = " of the recorded response, rig in the model," if curves[0].residual.recorded else ""
     return f"Root mean square residual{where} in times the noise: {', '.join(parts)}."
+
+
+def _over_all(chosen: Record | None, curves: Sequence[Curve]) -> str:
+    """What the chosen model leaves over all that it was fitted to, where that is another number than the response alone gives."""
+    drawn = next((c for c in curves if c.selected and c.residual.in_sd and c.times_noise is not None), None)
+    if chosen is None or drawn is None or drawn.times_noise is None:
+        return ""
+    every, here = significant(drawn.times_noise, 2), significant(drawn.residual.rms, 2)
+    if every == here:
+        return ""
+    scatter = "with what recordings differ by counted as noise, " if _has_scatter(chosen) else ""
+    return f"Over all data that it was fitted to, {scatter}the {ordinal(drawn.order)} order leaves {every} times the noise."
+
+
+def _has_scatter(fit: Record) -> bool:
+    """Whether the fit counted differences between recordings among its errors."""
+    try:
+        return float(json.loads(fit["spread"] or "{}").get("relative_sd") or 0.0) > 0
+    except (ValueError, TypeError, AttributeError):
+        return False
 
 
 def _legend(draft: Draft, curves: Sequence[Curve], found: Measured) -> str:

@@ -96,8 +96,12 @@ def _mean(found: Sequence[Record], form: str, order: int, what: str) -> float:
 
 def _words(found: Sequence[Record]) -> str:
     every = sorted({r["model_order"] for r in found})
-    parts = [f"order {o} {percent(_mean(found, 'without_resonance', o, 'relative_error'))}" for o in every]
-    return f"Relative error over all voltages: {', '.join(parts)}."
+    parts = [
+        f"order {o} {percent(_mean(found, 'without_resonance', o, 'relative_error'))}"
+        f" (as recorded {percent(_mean(found, 'recorded', o, 'relative_error'))})"
+        for o in every
+    ]
+    return f"Relative error over all voltages with the resonance taken out of the record: {', '.join(parts)}."
 
 
 def _heading(found: Sequence[Record], chosen: int | None) -> str:
@@ -105,9 +109,7 @@ def _heading(found: Sequence[Record], chosen: int | None) -> str:
     order = every[-1] if chosen is None or chosen not in every else chosen
     kept = percent(_mean(found, "recorded", order, "relative_error"))
     ignored = percent(_mean(found, "resonance_ignored", order, "relative_error"))
-    return (
-        f"Under voltage order {order} errs by {kept}; without the clamp's resonance in the model it would by {ignored}"
-    )
+    return f"Under voltage order {order} errs by {kept} of the force as recorded; without the clamp's resonance in the model it would by {ignored}"
 
 
 def _table(query: Query, found: Sequence[Record], chosen: int | None) -> Table:
