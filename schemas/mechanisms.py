@@ -337,16 +337,21 @@ def main(mechanism: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     return {key: parameters[key] for key in found[: 2 if mechanism == "rig_constants" else 1]}
 
 
+_WHOLE = {"%": 1.0, "ms": 1.0, "µs": 1.0}
+"""The largest that a severity of a unit may be, before it is scaled to that unit: a share all of it, a delay or a lag a second."""
+
+
 def candidate(mechanism: str, value: float | None, sd: float | None, parameter: str | None = None) -> str:
     """The severity of a cause that was tried, as read: of that parameter, or of its first.
 
-    A share that is not known to within the whole, and not even whether it is there, is unresolved.
+    What is not known to within the whole, and not even whether it is there, is unresolved.
     """
     if value is None:
         return ABSENT
     known = _WORDS.get(mechanism)
     shown = parameter or (next(iter(known.parameters), "") if known else "")
-    if sd is not None and _shown(mechanism, shown).unit == "%" and sd > max(abs(value), 1.0):
+    whole = _WHOLE.get(_shown(mechanism, shown).unit)
+    if sd is not None and whole is not None and sd > max(abs(value), whole):
         return UNRESOLVED
     return amount(mechanism, shown, {"value": value, "sd": sd})
 

@@ -427,6 +427,40 @@ def test_the_title_of_an_order_tells_the_rules_that_would_choose_another() -> No
     assert "decides" not in models._rules(one | {"order_p_value": None})
 
 
+def test_what_is_not_determined_is_said_to_be_so() -> None:
+    """A delay of (0.0 ± 1.2) × 10¹⁰ µs is no delay that was found: hours are longer than any sensor takes."""
+    assert mechanisms.candidate("sensor_delay", 1e-7, 11853.0) == "unresolved"
+    assert plain(mechanisms.candidate("sensor_delay", 1e-7, 5e-6)) == "0 ± 5 µs"
+    assert mechanisms.candidate("slack", 0.4, 400.0) == "unresolved"
+
+
+def test_places_that_are_not_listed_are_counted() -> None:
+    """52 places were wrong, 6 and 34 were shown, and nothing said where the other 12 are."""
+    rows = [
+        {
+            "recording_id": "r",
+            "where_found": "w",
+            "chi2": 1e6,
+            "degrees_of_freedom": 1.0,
+            "p_value": 0.0,
+            "statement": f"{i}",
+        }
+        for i in range(52)
+    ]
+    site = SimpleNamespace(recording=str)
+    for count, title in ((52, "The next 34 places; 12 more in the table discrepancies"), (7, "The next 1 place")):
+        results = SimpleNamespace(rows=lambda q, n=count: rows[:n] if "discrepancies" in q.sql else [], columns=lambda _: {"frequency_hz": np.array([])})  # fmt: skip
+        draft = SimpleNamespace(item="s", results=results, site=site)
+        found = diagnosis_page._wrong(cast(Any, draft), cast(Any, diagnosis("named")))
+        [fold] = [b for b in found if isinstance(b, Fold)]
+        assert plain(fold.summary) == title
+
+
+def test_a_kind_of_test_is_told_with_the_name_of_its_protocol() -> None:
+    row = {"protocol": "step", "loading": "mechanical", "kind": "recording"}
+    assert Markup(campaign._protocol(row)).striptags() == "Stress relaxation step"
+
+
 def test_a_film_that_keeps_its_force_does_not_relax() -> None:
     time = np.array([0.03, 1.0, 4.6])
     kept = relaxing.Course("r", time, np.array([0.2512, 0.2470, 0.2462]), None)

@@ -55,9 +55,10 @@ def _describe_last_run(runs: Sequence[Row]) -> Iterator[str]:
         yield "No run yet."
         return
     last = runs[-1]
+    files = "file" if last["found"] == 1 else "files"
     yield (
         f"Last run {last['run_id']}, {last['finished_at']:%Y-%m-%d %H:%M:%S} UTC, dealab {last['software_version']}: "
-        f"{last['found']} files found, {last['ingested']} taken in, {last['reused']} unchanged, "
+        f"{last['found']} {files} found, {last['ingested']} taken in, {last['reused']} unchanged, "
         f"{last['quarantined']} refused, {last['damaged']} damaged, {last['failed']} analyses failed."
     )
     for note in json.loads(last["notes"] or "[]"):

@@ -23,6 +23,7 @@ from reports.blocks import (
     Section,
     Table,
     Text,
+    code,
     flow,
     link,
     listed,
@@ -368,9 +369,10 @@ GROUP BY protocol, loading, kind
 ORDER BY protocol, loading, kind"""
 
 
-def _protocol(row: Record) -> str:
+def _protocol(row: Record) -> Piece:
+    """What kind of test it is, with the protocol's own name, which files and lists of recordings have."""
     if row["protocol"]:
-        return capital(words.protocol(row["protocol"], row["loading"]))
+        return flow(capital(words.protocol(row["protocol"], row["loading"])), " ", code(row["protocol"]))
     return f"table: {str(row['kind'] or 'unknown').replace('_', ' ')}"
 
 

@@ -179,7 +179,9 @@ def _wrong(draft: Draft, d: Record) -> list[Block | Fold]:
         blocks.append(Table("Where it is wrong", heads, tuple(rows[:_WORST]), query.shown(), note))
         if len(rows) > _WORST:
             more = Table("Where else", heads, tuple(rows[_WORST:]))
-            blocks.append(Fold(f"The next {whole(len(rows) - _WORST)} places", (more,)))
+            left = len(worst) - len(rows)
+            cut = f"; {whole(left)} more in the table discrepancies" if left else ""
+            blocks.append(Fold(f"The next {digits(len(rows) - _WORST, 'place')}{cut}", (more,)))
     return blocks
 
 
