@@ -16,6 +16,7 @@ from ingest.faults import check, find_faults
 from ingest.mapping import FileMapping, find_mapping, format_of, own_mapping
 from ingest.parts import list_parts, part_of
 from ingest.read import Content, read_raw
+from ingest.rigs import tell_absent
 from ingest.tables import LifetimeTable, RelaxationTable
 from ingest.toml_files import load_toml
 from schemas.errors import DealabError, RefusedError, UnmappedError
@@ -200,7 +201,7 @@ def _recording(
         metadata=tuple(recording.metadata.to_text().items()),
         rig=tuple(recording.rig.to_text().items()),
         problems=recording.problems,
-        notes=recording.notes,
+        notes=(*recording.notes, *filter(None, [tell_absent(recording, path, rigs)])),
     )
 
 

@@ -6,6 +6,7 @@ The file wins over what a recording says about its rig, key by key. Does not bel
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 from ingest.toml_files import content_hash, load_toml
 from schemas.errors import AccidentError, RefusedError
 from schemas.metadata import RECORDING_ID
+from schemas.recording import Recording
 
 FOLDER = "rigs"
 
@@ -41,6 +43,23 @@ def find_rig(rig_id: str | None, path: Path, *, root: Path | None = None, rigs: 
         if _is_file(candidate):
             return _loaded(candidate, rig_id)
     return None
+
+
+def find_home(path: Path) -> Path:
+    """The folder that a nightly has to be given so that it finds the rig files of a recording: the nearest one around it
+    that holds a folder `rigs`, the recording's own where none does. Relative where `path` is."""
+    own = path.parent.absolute()
+    home = next((folder for folder in (own, *own.parents) if (folder / FOLDER).is_dir()), own)
+    return home if path.is_absolute() else Path(os.path.relpath(home))
+
+
+def tell_absent(recording: Recording, path: Path, rigs: Path | None = None) -> str:
+    """That the rig which a recording names has no file, in `rigs` or around it, nor constants of its own; else empty."""
+    rig_id = recording.rig.rig_id or recording.metadata.rig_id
+    own = recording.rig.to_text().keys() - {"rig_id"}
+    if rig_id is None or own or find_rig(rig_id, path, root=find_home(path), rigs=rigs) is not None:
+        return ""
+    return f"rig file {FOLDER}/{rig_id}.toml is not there: no constants of the rig, no resonance correction"
 
 
 def _is_file(candidate: Path) -> bool:

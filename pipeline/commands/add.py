@@ -218,6 +218,7 @@ def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
     from ingest.compressed import find_stem, find_suffix
     from ingest.faults import find_faults
     from ingest.mapping import FileMapping
+    from ingest.rigs import find_home
     from pipeline.commands.show.preview import describe_preview
 
     path = draft.path
@@ -228,11 +229,11 @@ def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
         print(f"dealab: nothing is written: {len(faults)} things to put right (answers with --yes)", file=sys.stderr)
         return FAILED
     mapping = FileMapping.parse(draft.content, stem=find_stem(path), suffix=find_suffix(path), source=beside.name)
-    lines = [make_safe(line) for line in describe_preview(path, mapping)]
+    lines = [make_safe(line) for line in describe_preview(path, mapping, rigs)]
     with written_whole(beside) as place:
         place.write_text(draft.as_toml(), encoding="utf-8")
     print("\n".join(lines))
-    folder = make_safe(quote_path(str(path.parent)))
+    folder = make_safe(quote_path(str(find_home(path))))
     print(f"Written: {make_safe(str(beside))}. The next `dealab nightly {folder}` takes the file.")
     return ATTENTION if any(line.startswith("  problem") for line in lines) else DONE
 

@@ -524,3 +524,27 @@ def test_the_preview_says_which_results_will_not_come(tmp_path: Path, capsys: py
     frequencies = ["frequency_start_hz=1", "frequency_stop_hz=20"]
     assert main(["add", str(path), "--replace", "--yes", *SWEPT, *frequencies]) == 0
     assert "no diagnosis" not in capsys.readouterr().out
+
+
+def test_the_next_night_is_given_the_folder_that_holds_the_rigs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The suggested folder was the file's own, and a night over it found no rig file."""
+    path = write_sweep(tmp_path / "first" / "P-07" / "run7.csv")
+    (tmp_path / "first" / "rigs").mkdir()
+    (tmp_path / "first" / "rigs" / "rig-a.toml").write_text("load_cell_stiffness_n_per_mm = 40\n")
+    monkeypatch.chdir(tmp_path)
+    assert main(["add", "first/P-07/run7.csv", "--yes", *SWEPT, "rig_id=rig-a"]) == 0
+    told = capsys.readouterr().out
+    assert "The next `dealab nightly first` takes the file" in told
+    assert "is not there" not in told
+    assert main(["add", str(path), "--replace", "--yes", *SWEPT, "rig_id=rig-b"]) == 0
+    told = capsys.readouterr().out
+    assert f"`dealab nightly {tmp_path / 'first'}`" in told
+    absent = "rig file rigs/rig-b.toml is not there: no constants of the rig, no resonance correction"
+    assert absent in told
+    assert absent in inspect(path).notes
+    (tmp_path / "first" / "rigs" / "rig-a.toml").unlink()
+    (tmp_path / "first" / "rigs").rmdir()
+    assert main(["add", str(path), "--replace", "--yes", *SWEPT]) == 0
+    assert f"`dealab nightly {path.parent}`" in capsys.readouterr().out

@@ -11,6 +11,7 @@ from ingest.faults import check
 from ingest.mapping import FileMapping
 from ingest.parts import count_left_out, list_parts, name_parts, part_of
 from ingest.read import read_raw
+from ingest.rigs import tell_absent
 from ingest.tables import LifetimeTable, RelaxationTable
 from pipeline.transform.loops import find_loops
 from pipeline.transform.relaxation import relaxation_curve
@@ -46,14 +47,17 @@ _NEEDS_MODULUS = ("chirp", "cyclic", "step", "cycle", "pull")
 _SIZES = ("film_length_mm", "film_width_mm", "film_thickness_mm")
 
 
-def describe_preview(path: Path, mapping: FileMapping) -> Iterator[str]:
-    """Lines with what was read, drawn, and what a night will give. Raises `DealabError` for a file that is refused."""
+def describe_preview(path: Path, mapping: FileMapping, rigs: Path | None = None) -> Iterator[str]:
+    """Lines with what was read, drawn, and what a night will give, with rig files of `rigs` where given.
+
+    Raises `DealabError` for a file that is refused.
+    """
     labels: tuple[str, ...] = ()
     if names := name_parts(mapping.content):
         for name in names:
             part = part_of(mapping, name)
             yield f"  part       {name}: {part.recording.get('recording_id')}"
-            yield from _describe_content(path, part, several=False)
+            yield from _describe_content(path, part, rigs, several=False)
         yield from _tell_left_out(path, mapping)
         return
     if mapping.parts_file:
@@ -61,7 +65,7 @@ def describe_preview(path: Path, mapping: FileMapping) -> Iterator[str]:
         yield f"  parts      {len(labels)} recordings in one file: {', '.join(labels)}; the first of them:"
         yield from _tell_left_out(path, mapping)
         mapping = part_of(mapping, labels[0])
-    yield from _describe_content(path, mapping, several=bool(labels))
+    yield from _describe_content(path, mapping, rigs, several=bool(labels))
 
 
 def _tell_left_out(path: Path, mapping: FileMapping) -> Iterator[str]:
@@ -70,10 +74,13 @@ def _tell_left_out(path: Path, mapping: FileMapping) -> Iterator[str]:
         yield f"  note       {lost} of {count} rows belong to none of them: left out"
 
 
-def _describe_content(path: Path, mapping: FileMapping, *, several: bool) -> Iterator[str]:
+def _describe_content(path: Path, mapping: FileMapping, rigs: Path | None, *, several: bool) -> Iterator[str]:
     raw = read_raw(path, mapping)
     if isinstance(raw, RawRecording):
-        yield from _describe_recording(check(raw, path))
+        recording = check(raw, path)
+        yield from _describe_recording(recording)
+        if absent := tell_absent(recording, path, rigs):
+            yield f"  note       {absent}"
     elif isinstance(raw, LifetimeTable):
         failed = sum(row.failed for row in raw.rows)
         lives = [row.lifetime_s for row in raw.rows]
