@@ -211,17 +211,21 @@ def what_next(diagnosis: Row | None, stated: Mapping[str, Any] | None = None) ->
     return Next("Next recording to make", f"{text.rstrip('.')}.")
 
 
-_ERRORS = {"mass_error": "clamp_mass_kg", "stiffness_error": "load_cell_stiffness_n_per_mm"}
+_ERRORS = {
+    "mass_error": ("clamp_mass_kg", "a clamp of", "kg"),
+    "stiffness_error": ("load_cell_stiffness_n_per_mm", "a load cell of", "N/mm"),
+}
 
 
 def _tell_constants(diagnosis: Row, stated: Mapping[str, Any]) -> list[str]:
     """What a rig's file would say by the diagnosis, where its constants are what is wrong."""
     found = nested(diagnosis.get("severity")).get("rig_constants", {})
     told = []
-    for error, key in _ERRORS.items():
+    for error, (key, what, unit) in _ERRORS.items():
         filed, off = _number(stated.get(key)), found.get(error)
         if filed and isinstance(off, dict) and off.get("sd"):
-            told.append(f"{key} = {pm(filed * (1 + off['value']), filed * off['sd'])} in place of {significant(filed)}")
+            value, sd = filed * (1 + off["value"]), filed * off["sd"]
+            told.append(f"{what} {pm(value, sd, unit)} in place of {significant(filed)}")
     return (
         [f"By these recordings: {listed(told)}."] if told and "rig_constants" in (diagnosis["mechanisms"] or ()) else []
     )

@@ -112,9 +112,7 @@ def test_constants_that_are_off_are_told_as_the_file_would_say_them() -> None:
     row = {"verdict": "named", "mechanisms": ["rig_constants"], "severity": severity}
     following = findings.what_next(row, {"clamp_mass_kg": "0.188"})
     assert following is not None
-    assert plain(str(following.body)).endswith(
-        "By these recordings: clamp_mass_kg = 0.2030 ± 0.0021 in place of 0.188."
-    )
+    assert plain(str(following.body)).endswith("By these recordings: a clamp of 0.2030 ± 0.0021 kg in place of 0.188.")
     without = findings.what_next(row)
     assert without is not None
     assert "By these recordings" not in without.body
