@@ -215,10 +215,13 @@ _ERRORS = {
     "mass_error": ("clamp_mass_kg", "a clamp of", "kg"),
     "stiffness_error": ("load_cell_stiffness_n_per_mm", "a load cell of", "N/mm"),
 }
+"""Errors of a rig's constants: their keys in its file, words and units."""
 
 
 def _tell_constants(diagnosis: Row, stated: Mapping[str, Any]) -> list[str]:
-    """What a rig's file would say by the diagnosis, where its constants are what is wrong."""
+    """What a rig's file would say by the diagnosis, where its constants are what is wrong; empty where they are not."""
+    if "rig_constants" not in (diagnosis["mechanisms"] or ()):
+        return []
     found = nested(diagnosis.get("severity")).get("rig_constants", {})
     told = []
     for error, (key, what, unit) in _ERRORS.items():
@@ -226,9 +229,7 @@ def _tell_constants(diagnosis: Row, stated: Mapping[str, Any]) -> list[str]:
         if filed and isinstance(off, dict) and off.get("sd"):
             value, sd = filed * (1 + off["value"]), filed * off["sd"]
             told.append(f"{what} {pm(value, sd, unit)} in place of {significant(filed)}")
-    return (
-        [f"By these recordings: {listed(told)}."] if told and "rig_constants" in (diagnosis["mechanisms"] or ()) else []
-    )
+    return [f"By these recordings: {listed(told)}."] if told else []
 
 
 _CAUSES = re.compile(r"\b(?:" + "|".join(sorted((m for m in MECHANISMS if "_" in m), key=len, reverse=True)) + r")\b")
