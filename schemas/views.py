@@ -83,7 +83,8 @@ ORDER BY c.campaign, c.coefficient = 'intercept' DESC, c.coefficient""",
     ),
     View(
         "needs_attention",
-        "recordings that were refused, are damaged, are waiting or led to no result, and analyses that failed, with the reason",
+        "recordings that were refused, are damaged, are waiting or led to no result, analyses that failed, and rigs without"
+        " constants that recordings need, with the reason",
         """
 SELECT 'recording' AS what, recording_id AS name, status, problem, source_path, source_present, run_id
 FROM recordings
@@ -96,6 +97,14 @@ UNION ALL
 SELECT 'recording', recording_id, 'without result', what_was_missing, source_path, NULL, NULL
 FROM without_result
 WHERE status <> 'quarantined'
+UNION ALL
+SELECT 'rig', rig_id, 'without constants', format(
+    'rig file rigs/{0}.toml is not there or gives no load_cell_stiffness_n_per_mm: no resonance correction of {1} of its'
+    ' recordings; expected below the folder given to the nightly, beside them or above. Write it, or give its folder with'
+    ' --rigs', rig_id, count(*)), NULL, NULL, NULL
+FROM recordings JOIN assumptions USING (recording_id)
+WHERE kind = 'recording' AND status IN ('ok', 'damaged') AND rig_id IS NOT NULL AND what = 'clamp and load cell'
+GROUP BY rig_id
 ORDER BY ALL""",
     ),
     View(

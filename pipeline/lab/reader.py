@@ -97,6 +97,17 @@ class Reader:
         """The same without names and in no order; the columns are given in that of the table."""
         return self._iterate_values(self._make_query(name, columns, None, (), ordered=False))
 
+    def list_rigs_without_constants(self) -> list[str]:
+        """What is told of each rig whose constants recordings need and do not have.
+
+        A database of before the view has none to tell.
+        """
+        view = "needs_attention"
+        if view not in self._columns:
+            return []
+        query = f"SELECT problem FROM {view} WHERE what = 'rig' ORDER BY name"
+        return [problem for (problem,) in self._iterate_values((query, []))]
+
     def _iterate(
         self, name: str, columns: Sequence[str] | None, query: tuple[str, list[list[str]]] | None
     ) -> Iterator[dict[str, Any]]:

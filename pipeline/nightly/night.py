@@ -34,6 +34,7 @@ from pipeline.nightly.publish import (
     count_results,
     discard_work,
     list_attention,
+    list_rigs_without_constants,
     list_without_result,
     publish_night,
 )
@@ -56,7 +57,7 @@ class Summary:
     attention : every broken line of the annotations, every file that was refused or is damaged, every accident and
         every analysis that failed, with its reason
     without_result : every recording or table in the lab that was taken in and led to no result, with what was missing
-    notes : what was passed over
+    notes : what was passed over, and which rigs have no constants
     report_problem : why the pages could not be written
     """
 
@@ -212,7 +213,11 @@ def _summarise(night: Night, found: Found, seconds: float, problem: str | None) 
         count_missing(night),
         (*find_broken_lines(night.lab), *list_attention(night)),
         list_without_result(night),
-        (*map(str, found.passed), *(f"{path}: {NO_MAPPING}" for path in found.unmapped)),
+        (
+            *map(str, found.passed),
+            *(f"{path}: {NO_MAPPING}" for path in found.unmapped),
+            *list_rigs_without_constants(night),
+        ),
         problem,
     )
 

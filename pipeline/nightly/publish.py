@@ -149,6 +149,12 @@ def list_without_result(night: Night) -> tuple[str, ...]:
         )
 
 
+def list_rigs_without_constants(night: Night) -> tuple[str, ...]:
+    """What is told of each rig of the published lab whose constants recordings need and do not have."""
+    with open_published(night.lab.database) as reader:
+        return () if reader is None else tuple(reader.list_rigs_without_constants())
+
+
 def count_results(night: Night) -> int:
     """How many results the night made, or took over from a killed one."""
     return night.ledger.number("SELECT count(*) FROM outcomes WHERE done")

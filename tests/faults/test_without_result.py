@@ -12,7 +12,7 @@ from pipeline.commands.show.status import describe_lab
 from pipeline.lab.annotations import annotate
 from pipeline.nightly.night import nightly
 from tests.faults.lab_state import healthy, select
-from tests.helpers.small_lab import about, chirp, life, write
+from tests.helpers.small_lab import RIG, about, chirp, life, write
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -183,3 +183,25 @@ def test_what_a_test_needs_for_its_diagnosis_is_told_where_it_lacks(
     else:
         (missing,) = told
         assert f"no diagnosis: {lacking} missing" in missing
+
+
+def test_a_rig_without_a_file_is_told_once_where_people_look(tmp_path: Path) -> None:
+    """Only the warnings of a model said so."""
+    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
+    raw.mkdir()
+    life(raw / "L-1.mcap", 1)
+    assert nightly([raw], lab, jobs=0).notes == (), "lives need no constants of their rig"
+    chirp(raw / "a.mcap", 1)
+    chirp(raw / "b.mcap", 2)
+    wanted = "SELECT name, status, problem FROM needs_attention WHERE what = 'rig'"
+    summary = nightly([raw], lab, jobs=0)
+    ((name, status, problem),) = select(lab, wanted)
+    assert (name, status) == ("rig-a", "without constants")
+    assert problem.startswith("rig file rigs/rig-a.toml is not there or gives no load_cell_stiffness_n_per_mm")
+    assert "no resonance correction of 2 of its recordings" in problem
+    assert problem in summary.notes
+    assert problem in describe_lab(lab)
+    (raw / "rigs").mkdir()
+    (raw / "rigs" / "rig-a.toml").write_text(RIG)
+    assert nightly([raw], lab, jobs=0).notes == ()
+    assert select(lab, wanted) == []

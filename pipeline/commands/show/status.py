@@ -94,6 +94,7 @@ def _list_attention(reader: Reader) -> Iterator[str]:
         yield f"{row['status']}: {row['source_path']}{gone}: {row['problem']}"
     for row in reader.rows("items", ("item_id", "error"), where="outcome = 'failed'"):
         yield f"failed: {row['item_id']}: {(row['error'] or 'no reason given').splitlines()[0]}"
+    yield from reader.list_rigs_without_constants()
 
 
 def _list_without_result(lab: Lab, reader: Reader) -> Iterator[str]:
