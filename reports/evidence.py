@@ -117,6 +117,10 @@ class Standing:
     """Why no diagnosis could be made of what was measured."""
     batch: str = ""
     """The batch of film, or of specimens, that the recordings name."""
+    taps: bool = False
+    """Taps of the clamp are among the recordings that the diagnosis rests on: they tell mass and stiffness without a film."""
+    extension: Row | None = None
+    """The fit with the causes in it that the diagnosis found."""
     negative: str = ""
     """What came out negative that no film has, and why that may be; empty where nothing did."""
 

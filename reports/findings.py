@@ -6,8 +6,8 @@ From diagnoses where they were made; else from what the fits and the lifetimes s
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from markupsafe import Markup
 
@@ -28,14 +28,17 @@ from schemas.explanations import (
 from schemas.mechanisms import (
     MECHANISMS,
     RECORD,
+    RIG,
     UNLISTED,
     list_actions,
+    list_sure,
     model_name,
     nested,
     plain_name,
     quote_name,
 )
 from schemas.numbers import NBSP, capital, compact, p_equals, pm, removed, seconds, significant, symbols, whole, word
+from schemas.rig_constants import RIG_CONSTANTS, RigConstant
 
 _CLEARLY_LONGER = 1.2
 """Ratio of two lives from which a heading says it."""
@@ -197,39 +200,65 @@ def _by_ids(explanation: Explanation, of: Sequence[Explanation]) -> Piece:
     return flow(ids, " alone") if any({*explanation} < {*other} for other in of) else ids
 
 
-def what_next(diagnosis: Row | None, stated: Mapping[str, Any] | None = None) -> Next | None:
-    """The recording that would decide, or what to do about the causes that are named; `stated`: constants of the rig's file."""
+def what_next(standing: Standing) -> Next | None:
+    """The recording that would decide, or what to do about the causes that are named."""
+    diagnosis = standing.diagnosis
     if not diagnosis:
         return None
-    if diagnosis.get("verdict") == "named":
-        actions = list_actions(diagnosis.get("mechanisms") or ())
-        constants = _tell_constants(diagnosis, stated or {})
-        return Next("What to do", " ".join([*actions, *constants])) if actions else None
+    if diagnosis["verdict"] == "named":
+        mechanisms = list(diagnosis["mechanisms"] or ())
+        constants = find_constants(standing)
+        written = [tell_constants(standing, constants)] if constants else []
+        if written and standing.taps:
+            mechanisms.remove(RIG)
+            return Next("What to do", " ".join([*written, *list_actions(mechanisms)]))
+        actions = list_actions(mechanisms)
+        return Next("What to do", " ".join([*actions, *written])) if actions else None
     if not diagnosis["next_recording"]:
         return None
     text = capital(name_causes(str(diagnosis["next_recording"])))
     return Next("Next recording to make", f"{text.rstrip('.')}.")
 
 
-_ERRORS = {
-    "mass_error": ("clamp_mass_kg", "a clamp of", "kg"),
-    "stiffness_error": ("load_cell_stiffness_n_per_mm", "a load cell of", "N/mm"),
-}
-"""Errors of a rig's constants: their keys in its file, words and units."""
+@dataclass(frozen=True)
+class FoundConstant:
+    """A constant of the rig as its file states it, and as a diagnosis finds it."""
+
+    constant: RigConstant
+    filed: float
+    value: float
+    sd: float
 
 
-def _tell_constants(diagnosis: Row, stated: Mapping[str, Any]) -> list[str]:
-    """What a rig's file would say by the diagnosis, where its constants are what is wrong; empty where they are not."""
-    if "rig_constants" not in (diagnosis["mechanisms"] or ()):
+def find_constants(standing: Standing) -> list[FoundConstant]:
+    """The constants of the rig that the diagnosis finds off, by how much; empty where they are not what is wrong, or their file is silent."""
+    diagnosis = standing.diagnosis
+    if diagnosis is None or diagnosis["verdict"] != "named" or RIG not in (diagnosis["mechanisms"] or ()):
         return []
-    found = nested(diagnosis.get("severity")).get("rig_constants", {})
-    told = []
-    for error, (key, what, unit) in _ERRORS.items():
-        filed, off = _number(stated.get(key)), found.get(error)
-        if filed and isinstance(off, dict) and off.get("sd"):
-            value, sd = filed * (1 + off["value"]), filed * off["sd"]
-            told.append(f"{what} {pm(value, sd, unit)} in place of {significant(filed)}")
-    return [f"By these recordings: {listed(told)}."] if told else []
+    severity = nested(diagnosis["severity"]).get(RIG, {})
+    sure = list_sure(RIG, severity)
+    found = []
+    for constant in RIG_CONSTANTS:
+        filed, off = _number(standing.stated.get(constant.key)), severity.get(constant.error)
+        if filed and constant.error in sure and isinstance(off, dict) and off.get("sd"):
+            found.append(FoundConstant(constant, filed, filed * (1 + off["value"]), filed * off["sd"]))
+    return found
+
+
+def tell_constants(standing: Standing, found: Sequence[FoundConstant]) -> str:
+    """What to write into the rig's file by a diagnosis. Without taps it says no more than what these recordings make of it."""
+    if not standing.taps:
+        told = [
+            f"{f.constant.name} {pm(f.value, f.sd, f.constant.unit)} in place of {significant(f.filed)}" for f in found
+        ]
+        return f"By these recordings: {listed(told)}."
+    rig_id = standing.stated.get("rig_id")
+    file = f"rigs/{short(str(rig_id), 80)}.toml" if rig_id else "the rig's file"
+    keys = listed([f"{f.constant.key} = {pm(f.value, f.sd)} (now {significant(f.filed)})" for f in found])
+    sds = listed([f"{f.constant.key}_sd" for f in found])
+    return (
+        f"Write {keys} into {file}, the ± as {sds}, and run the night again: taps of the clamp are among what says so."
+    )
 
 
 _CAUSES = re.compile(r"\b(?:" + "|".join(sorted((m for m in MECHANISMS if "_" in m), key=len, reverse=True)) + r")\b")
@@ -240,30 +269,25 @@ def name_causes(text: str) -> str:
     return _CAUSES.sub(lambda found: quote_name(found[0]), text)
 
 
-_CONSTANTS = {
-    "clamp_mass_kg": ("the clamp", "kg"),
-    "load_cell_stiffness_n_per_mm": ("the load cell", "N/mm"),
-    "load_cell_damping_n_s_per_mm": ("the damping of the load cell", "N s/mm"),
-}
-
-
 def remarks(standing: Standing) -> tuple[str, ...]:
     """Constants of the rig that the fit moved away from their file by more than two SD, and what the fit warns of."""
     fit = standing.fit
     if fit is None:
         return ()
     texts = []
-    for column, (what, unit) in _CONSTANTS.items():
+    for constant in RIG_CONSTANTS:
+        column, unit = constant.key, constant.unit
         value, sd = fit[column], fit[f"{column}_sd"]
         filed, filed_sd = (_number(standing.stated.get(key)) for key in (column, f"{column}_sd"))
         if None in (value, sd, filed) or not filed_sd:
             continue
         z = abs(value - filed) / float((sd**2 + filed_sd**2) ** 0.5)
-        if z > 2:
+        if z > _CLEAR:
             texts.append(
-                f"The fit finds {what} at {pm(value, sd, unit)} where its file says {pm(filed, filed_sd, unit)}:"
+                f"The fit finds {constant.part} at {pm(value, sd, unit)} where its file says {pm(filed, filed_sd, unit)}:"
                 f" {significant(z, 2)} SD apart."
             )
+    texts += tell_negative(fit)
     known = no_relaxation(fit)
     said = [w for w in (fit["warnings"] or "").split("; ") if w and not (known and w.startswith(_SAID))]
     if any(w.startswith("the fit puts") for w in said):
@@ -273,6 +297,26 @@ def remarks(standing: Standing) -> tuple[str, ...]:
     return tuple(texts)
 
 
+def tell_negative(fit: Row) -> list[str]:
+    """What it means that a constant of the rig, which cannot be negative, was fitted as one beyond its standard deviation."""
+    texts = []
+    for constant in RIG_CONSTANTS:
+        value, sd = fit[constant.key], fit[f"{constant.key}_sd"]
+        if value is None or not sd or sd >= -value:
+            continue
+        far = f"{significant(-value / sd, 2)} SD below 0"
+        meaning = (
+            "no rig has that, so it makes up for something else that is wrong, such as another constant of the rig or a delay"
+            " between channels, and is no property of the rig"
+            if value < -_CLEAR * sd
+            else "as good as none"
+        )
+        texts.append(f"The fit puts {constant.part} {far}: {meaning}.")
+    return texts
+
+
+_CLEAR = 2.0
+"""Standard deviations from which on a number is not what it differs from."""
 _SAID = ("no relaxation of any order", "more arms cannot help")
 """Beginnings of warnings that the headline of a specimen with the positivity alarm has said already."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from reports.evidence import Standing, choice, less_than_noise, told, unasked
+from reports.evidence import Standing, choice, extended, less_than_noise, told, unasked
 from reports.ledger import batches
 from reports.names import short
 from reports.results import Query, Results, Row, literal
@@ -90,31 +90,65 @@ def _of(results: Results, recordings: Sequence[Row], where: Query) -> list[Stand
         if r["specimen_id"]:
             theirs.setdefault(r["specimen_id"], []).append(r)
     fits: dict[str, list[Row]] = {}
-    selected = f"SELECT * FROM model_fits WHERE selected AND {where.sql} ORDER BY specimen_id, loading, method"
+    selected = f"SELECT * FROM model_fits WHERE (selected OR extension <> '') AND {where.sql} ORDER BY specimen_id, loading, method"
     for fit in results.rows(Query(selected, where.parameters)):
         fits.setdefault(fit["specimen_id"], []).append(fit)
     made = results.rows(Query(f"SELECT * FROM diagnoses WHERE {where.sql} ORDER BY specimen_id", where.parameters))
     diagnoses = {d["specimen_id"]: d for d in made}
-    negative = find_negative(results, where)
+    negative, tapped = find_negative(results, where), find_tapped(results, where)
     return [
-        Standing(
+        stand(
             specimen,
-            records[-1]["material"],
-            records[-1]["configuration"],
-            choice(fits.get(specimen, [])),
-            told(diagnoses.get(specimen)),
-            stated_rig(records),
-            unasked(diagnoses.get(specimen)),
-            _batch(records[-1]),
-            negative.get(specimen, ""),
+            records,
+            fits.get(specimen, []),
+            diagnoses.get(specimen),
+            negative=negative.get(specimen, ""),
+            taps=specimen in tapped,
         )
         for specimen, records in sorted(theirs.items())
     ]
 
 
+def stand(
+    specimen: str, recordings: Sequence[Row], fits: Sequence[Row], diagnosis: Row | None, *, negative: str, taps: bool
+) -> Standing:
+    """How a specimen stands.
+
+    Parameters
+    ----------
+    specimen : its name
+    recordings : of it, in their order
+    fits : rows of `model_fits` of it
+    diagnosis : its row of `diagnoses`, if it has one
+    negative : what came out negative that no film has
+    taps : whether taps of the clamp are among what its diagnosis rests on
+    """
+    last = recordings[-1] if recordings else None
+    fit = choice(fits)
+    return Standing(
+        specimen,
+        last["material"] if last else None,
+        last["configuration"] if last else None,
+        fit,
+        told(diagnosis),
+        stated_rig(recordings),
+        unasked(diagnosis),
+        batch=_batch(last) if last else "",
+        taps=taps,
+        extension=extended(fits, fit) if fit else None,
+        negative=negative,
+    )
+
+
 def _batch(recording: Row) -> str:
     """The batch that a recording's metadata name."""
     return str(flat_metadata(recording["metadata"]).get("batch") or "")
+
+
+def find_tapped(results: Results, where: Query) -> set[str]:
+    """Specimens, of those `where` they are, among whose diagnosed recordings are taps of the clamp."""
+    query = f"SELECT DISTINCT specimen_id FROM diagnosis_blocks WHERE starts_with(kind, 'tap.') AND {where.sql}"
+    return {r["specimen_id"] for r in results.rows(Query(query, where.parameters))}
 
 
 def find_negative(results: Results, where: Query) -> dict[str, str]:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from reports.names import short, visible
 from reports.results import Row
 from schemas.numbers import true_minus
+from schemas.rig_constants import RIG_CONSTANTS
 
 FOLLOWED = {
     "k0_n_per_mm": "main spring k₀",
     "modulus_mpa": "modulus",
     "model_order": "order of the model",
-    "load_cell_stiffness_n_per_mm": "load-cell stiffness",
-    "load_cell_damping_n_s_per_mm": "load-cell damping",
-    "clamp_mass_kg": "clamp mass",
+    **{constant.key: constant.name for constant in RIG_CONSTANTS},
     "force_per_voltage_squared_n_per_kv2": "force over V²",
     "force_per_capacitive_strain_n": "force over capacitive strain",
     "verdict": "verdict",

@@ -13,6 +13,8 @@ from typing import Any
 
 from schemas.numbers import ABSENT, NBSP, UNRESOLVED, is_usable, ordinal, percent, pm, significant, with_unit
 
+RIG = "rig_constants"
+"""The cause whose severity is of constants in the rig's file."""
 FILM, RECORD = "film", "record"
 """The stages of what the film does, and of what is wrong with recordings and their metadata."""
 
@@ -334,7 +336,7 @@ def main(mechanism: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """The main parameter of a severity, without shapes and other ways to say it; of the rig both constants."""
     known = _WORDS.get(mechanism)
     found = [key for key in known.parameters if key in parameters] if known else list(parameters)
-    return {key: parameters[key] for key in found[: 2 if mechanism == "rig_constants" else 1]}
+    return {key: parameters[key] for key in found[: 2 if mechanism == RIG else 1]}
 
 
 _WHOLE = {"%": 1.0, "ms": 1.0, "µs": 1.0}
@@ -368,10 +370,8 @@ def finding(mechanism: str, parameters: Mapping[str, Any], *, beside: bool = Fal
     main = next((key for key in known.parameters if key in parameters), None)
     if main is None:
         return _leave_size_out(known.finding)
-    if mechanism == "rig_constants":
-        by_z = sorted((k for k in known.parameters if k in parameters), key=lambda k: -_z(parameters[k]))
-        sure = [k for k in by_z if _z(parameters[k]) > _SURE]
-        return ", and ".join(_rig_finding(k, parameters[k]) for k in sure or by_z[:1])
+    if mechanism == RIG:
+        return ", and ".join(_rig_finding(k, parameters[k]) for k in list_sure(mechanism, parameters))
     text, size = known.finding, parameters[main]
     if known.reverse and _value(size) < 0:
         text, size = known.reverse, _positive(size)
@@ -379,6 +379,13 @@ def finding(mechanism: str, parameters: Mapping[str, Any], *, beside: bool = Fal
     if isinstance(channel, str):
         text = text.replace("a sensor is", f"the {channel} channel is").replace("a channel reads", f"{channel} reads")
     return text.format(amount(mechanism, main, size)) if _is_resolved(size) else _leave_size_out(text)
+
+
+def list_sure(mechanism: str, parameters: Mapping[str, Any]) -> list[str]:
+    """Parameters of a severity that are off by more than their uncertainty explains, the clearest first; that one alone where none is."""
+    known = _WORDS[mechanism].parameters
+    by_z = sorted((k for k in known if k in parameters), key=lambda k: -_z(parameters[k]))
+    return [k for k in by_z if _z(parameters[k]) > _SURE] or by_z[:1]
 
 
 def _leave_size_out(finding: str) -> str:
@@ -414,7 +421,7 @@ def _rig_finding(parameter: str, value: Any) -> str:
         ("clamp", "heavier", "lighter") if parameter == "mass_error" else ("load cell", "stiffer", "softer")
     )
     what = more if _value(value) >= 0 else less
-    return f"the {part} is {what} than its file says, by {amount('rig_constants', parameter, _positive(value))}"
+    return f"the {part} is {what} than its file says, by {amount(RIG, parameter, _positive(value))}"
 
 
 def model_name(order: int) -> str:

@@ -44,6 +44,7 @@ FILL = {
     "{folder}": "raw",
     "{quote_path(str(lab))}": "lab",
     "{quote_path(short(r['source_path'] or file, 300))}": "run7.csv",
+    "{quote_path(short(paths[0], 300))}": "run7.csv",
     "{query}": "SELECT 1",
 }
 """What stands for the words that a message fills in, and for those that a person does."""

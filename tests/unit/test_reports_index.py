@@ -9,7 +9,8 @@ import pytest
 
 from reports.build import build_reports
 from schemas.mechanisms import ACTIONS
-from tests.helpers.synthetic_lab import Story
+from schemas.places import SIGN
+from tests.helpers.synthetic_lab import LAST, Story
 
 
 def tell(story: Story, specimen: str, mechanism: str) -> None:
@@ -53,3 +54,40 @@ def test_several_things_to_do_are_told_in_short(tmp_path: Path) -> None:
     page = build_index(story, tmp_path)
     table = page[page.index("In short, what was found") :].partition("</table>")[0]
     assert all(specimen in table and ACTIONS[cause] in table for specimen, cause in causes.items())
+
+
+def test_a_file_without_a_mapping_stands_among_what_is_to_be_done(tmp_path: Path) -> None:
+    story = Story()
+    tell(story, "W-1", "wrinkling")
+    for name in ("old one.csv", "run-7.csv"):
+        story.rows["items"].append(
+            {"item_id": f"file:/raw/{name}", "stage": "file", "outcome": "unmapped", "run_id": LAST}
+        )
+    page = build_index(story, tmp_path)
+    table = page[page.index("In short, what was found") :].partition("</table>")[0]
+    assert "Have no mapping: they were not read." in table
+    assert "dealab add &#39;/raw/old one.csv&#39;" in table
+    assert "run-7.csv" in table
+
+
+def test_a_night_of_one_file_without_a_mapping_says_what_to_do(tmp_path: Path) -> None:
+    story = Story()
+    story.rows["items"].append(
+        {"item_id": "file:/raw/run-7.csv", "stage": "file", "outcome": "unmapped", "run_id": LAST}
+    )
+    page = build_index(story, tmp_path)
+    assert "dealab add /raw/run-7.csv" in page[page.index("In short, what was found") :].partition("</table>")[0]
+
+
+def test_the_page_of_a_specimen_with_negative_losses_says_so_first(tmp_path: Path) -> None:
+    story = Story()
+    tell(story, "W-1", "wrinkling")
+    statement = "the loss is negative: displacement and force may have opposite signs"
+    story.rows["discrepancies"].append(
+        {"specimen_id": "W-1", "recording_id": "W-1_step", "where_found": SIGN, "chi2": 90.0, "statement": statement}
+    )
+    story.run()
+    lab = story.write(tmp_path / "lab")
+    build_reports(lab)
+    page = (lab / "reports" / "specimens" / "W-1.html").read_text(encoding="utf-8").replace("\xa0", " ")
+    assert re.search(r"<h1>[^\n]*the loss is negative, as of no film", page)

@@ -27,7 +27,7 @@ from reports.pages.index import page as index
 from reports.pages.index.page import end_in_words, tally
 from reports.pages.index.trouble import reason
 from reports.pages.specimen import diagnosis as diagnosis_page
-from reports.pages.specimen import models, relaxing
+from reports.pages.specimen import models, relaxing, shifts
 from reports.results import Query
 from schemas import explanations, mechanisms
 from schemas.tables import TABLES
@@ -107,15 +107,74 @@ def test_rig_constants_say_which_and_in_which_direction(severity: dict[str, obje
     assert plain(mechanisms.finding("rig_constants", severity)) == expected
 
 
-def test_constants_that_are_off_are_told_as_the_file_would_say_them() -> None:
-    severity = json.dumps({"rig_constants": {"mass_error": {"value": 0.08, "sd": 0.011}}})
-    row = {"verdict": "named", "mechanisms": ["rig_constants"], "severity": severity}
-    following = findings.what_next(row, {"clamp_mass_kg": "0.188"})
+def of_rig(stated: dict[str, str], *, taps: bool) -> Standing:
+    """A specimen whose diagnosis finds the clamp 8 % heavier; of the load cell it is not sure."""
+    severity = {"mass_error": {"value": 0.08, "sd": 0.011}, "stiffness_error": {"value": 0.001, "sd": 0.01}}
+    d = diagnosis("named", mechanisms=["rig_constants"], severity=json.dumps({"rig_constants": severity}))
+    return Standing("P-07", None, None, None, d, stated, taps=taps)
+
+
+def to_do(standing: Standing) -> str:
+    following = findings.what_next(standing)
     assert following is not None
-    assert plain(str(following.body)).endswith("By these recordings: a clamp of 0.2030 ± 0.0021 kg in place of 0.188.")
-    without = findings.what_next(row)
-    assert without is not None
-    assert "By these recordings" not in without.body
+    return plain(following.body)
+
+
+def test_constants_that_are_off_are_told_as_the_file_would_say_them() -> None:
+    stated = {"clamp_mass_kg": "0.188", "load_cell_stiffness_n_per_mm": "20.2"}
+    said = to_do(of_rig(stated, taps=False))
+    assert said.startswith(mechanisms.ACTIONS["rig_constants"])
+    assert said.endswith("By these recordings: clamp mass 0.2030 ± 0.0021 kg in place of 0.188.")
+    assert to_do(of_rig({}, taps=False)) == mechanisms.ACTIONS["rig_constants"]
+
+
+def test_with_taps_recorded_what_to_write_into_the_file_is_said() -> None:
+    stated = {"clamp_mass_kg": "0.188", "load_cell_stiffness_n_per_mm": "20.2", "rig_id": "shaker-2"}
+    said = to_do(of_rig(stated, taps=True))
+    assert said.startswith(
+        "Write clamp_mass_kg = 0.2030 ± 0.0021 (now 0.188) into rigs/shaker-2.toml, the ± as clamp_mass_kg_sd"
+    )
+    assert "load_cell_stiffness" not in said
+    assert mechanisms.ACTIONS["rig_constants"] not in said
+    # taps alone write nothing: what the file says has to be known
+    assert to_do(of_rig({"rig_id": "shaker-2"}, taps=True)) == mechanisms.ACTIONS["rig_constants"]
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "expected"),
+    [(-0.00105, 0.00021, "5.0 SD below 0: no rig has that"), (-0.003, 0.002, "1.5 SD below 0: as good as none"), (-0.001, 0.002, ""), (0.001, 1e-4, "")],
+)  # fmt: skip
+def test_a_constant_that_cannot_be_negative_is_not_shown_so_without_a_word(
+    value: float, sd: float, expected: str
+) -> None:
+    fit = dict.fromkeys(TABLES["model_fits"].names) | {
+        "model_order": 3, "load_cell_damping_n_s_per_mm": value, "load_cell_damping_n_s_per_mm_sd": sd,
+    }  # fmt: skip
+    said = plain(" ".join(findings.tell_negative(fit)))
+    assert (expected in said) if expected else not said
+    assert said in plain(" ".join(findings.remarks(Standing("P-07", None, None, fit, None))))
+
+
+@pytest.mark.parametrize(
+    ("fitted", "plain_model", "expected"),
+    [
+        (1.0, 0.1, "the film stays where it was"),
+        (1.0, 3.0, "ignoring the cause biases the film"),
+        (6.3, 3.0, "ignoring the cause biases the film"),
+        (
+            6.3,
+            0.1,
+            "the model fitted to the responses alone is up to 6.3 SD off (k0); the plain model of the diagnosis",
+        ),
+        (6.3, None, "ignoring the cause biases the film: the model fitted to the responses alone is up to 6.3 SD off"),
+    ],
+)
+def test_the_film_does_not_stay_where_one_of_the_models_is_off(
+    fitted: float, plain_model: float | None, expected: str
+) -> None:
+    found = shifts.Shifts(fitted, "k0", plain_model)
+    assert shifts.tell(found).startswith(expected)
+    assert found.any == ("stays where" not in expected)
 
 
 def test_what_is_not_all_of_it_is_not_a_hundred_percent_of_a_severity() -> None:
@@ -127,7 +186,8 @@ def main_of(mechanism: str) -> str:
 
 
 def test_the_next_recording_is_a_sentence() -> None:
-    following = findings.what_next({"next_recording": "three voltage steps: tell drive_lag and slack apart"})
+    d = diagnosis("ambiguous", next_recording="three voltage steps: tell drive_lag and slack apart")
+    following = findings.what_next(Standing("P-07", None, None, None, d))
     assert following is not None
     assert plain(str(following.body)) == "Three voltage steps: tell “lag of the drive” and slack apart."
 

@@ -10,12 +10,14 @@ from reports.blocks import (
     Finding,
     Findings,
     Head,
+    Next,
     Piece,
     Row,
     Section,
     Table,
     Text,
     bold,
+    code,
     flow,
     link,
     listed,
@@ -29,13 +31,14 @@ from reports.findings import LESS_THAN_NOISE
 from reports.names import short
 from reports.pages import found
 from reports.pages.campaign import lives
-from reports.pages.index import control
+from reports.pages.index import control, trouble
 from reports.pages.specimen import comparing_models, film
 from reports.site import CONTROL, SPECIMENS, Site
 from reports.standings import Brief, of_lab
 from schemas.explanations import cause
 from schemas.mechanisms import RECORD
 from schemas.numbers import capital, counted, digits, significant, word
+from schemas.visible import quote_path
 
 _WIDE = 2
 """Findings that get a figure; the others are a paragraph."""
@@ -44,7 +47,9 @@ _ALARMED, _MOST = 12, 20
 _LIMITS = 4
 """Films and electrodes beyond their limit with a finding of their own."""
 _TO_DO = 2, 6
-"""Lines of what to do from which on they are worth a table, and most of them in it."""
+"""Lines of what to do from which on they are worth a table, and most of them in it that are about specimens."""
+_UNMAPPED = 3
+"""Files without a mapping that are named."""
 _POINTS = 2
 """Points out of control with a finding of their own."""
 
@@ -63,13 +68,15 @@ def section(
     alone = [s for s in alarms if s.specimen_id not in together]
     told = (*(group[0] for group in shared), *alone[:_ALARMED])
     full = {s.specimen_id: s for s in of_lab(site.results, [s.specimen_id for s in told])}
+    following = {s.specimen_id: findings.what_next(s) for s in full.values()}
     for group in shared:
-        items.append(_shared_finding(site, group, full[group[0].specimen_id], wide=len(items) < _WIDE))
+        first = full[group[0].specimen_id]
+        items.append(_shared_finding(site, group, first, following[first.specimen_id], wide=len(items) < _WIDE))
     items += [found.limit_finding(site, limit, "") for limit in bounds[:_LIMITS]]
     items += _out_of_control(site)
     for standing in (full[s.specimen_id] for s in alone[:_ALARMED]):
         wide = len([i for i in items if i.figure]) < _WIDE
-        items.append(_specimen_finding(site, standing, wide=wide))
+        items.append(_specimen_finding(site, standing, following[standing.specimen_id], wide=wide))
     if len(alone) > _ALARMED:
         items.append(
             Finding(
@@ -89,10 +96,11 @@ def section(
             )
             items.append(Finding(title, tuple(p for p in (lives.support(lived), page) if p), "group"))
     items += _quiet(site, [s for s in standings if not s.alarm])
-    if not items:
+    to_do = _to_do(site, [*shared, *([s] for s in alone[:_ALARMED])], full, following)
+    opening = [block for block in (_verdicts(standings), to_do) if block is not None]
+    if not items and not opening:
         return None
-    opening = (_verdicts(standings), _to_do(site, [*shared, *([s] for s in alone[:_ALARMED])], full))
-    blocks = (*(block for block in opening if block is not None), Findings(tuple(items)))
+    blocks = (*opening, *([Findings(tuple(items))] if items else []))
     return Section("findings", "Findings", "Findings", blocks)
 
 
@@ -139,27 +147,51 @@ def _verdicts(standings: Sequence[Brief]) -> Text | None:
     return Text(flow(begin, separated(parts), "."), "sub")
 
 
-def _to_do(site: Site, groups: Sequence[Sequence[Brief]], full: Mapping[str, Standing]) -> Table | None:
-    """What happened and what to do about it, in one line for specimens with one cause, where there is more than one line of it.
+def _to_do(
+    site: Site,
+    groups: Sequence[Sequence[Brief]],
+    full: Mapping[str, Standing],
+    following: Mapping[str, Next | None],
+) -> Table | None:
+    """What happened and what to do about it, in one line for specimens with one cause, and for files that were not read.
+
+    Where it would be one line about specimens alone there is no table: their finding says it.
 
     Parameters
     ----------
     groups : specimens that have one finding together, in the order of the findings
     full : how the first of each stands
+    following : what to do about each of those
     """
     rows = []
     for group in groups:
         standing = full[group[0].specimen_id]
-        following = findings.what_next(standing.diagnosis, standing.stated)
-        if following is not None and standing.diagnosis is not None:
+        doing = following[standing.specimen_id]
+        if doing is not None and standing.diagnosis is not None:
             who = listed([site.specimen(s.specimen_id, "") for s in group])
-            rows.append(Row((who, f"{capital(cause(standing.diagnosis))}.", following.body)))
-    if len(rows) < _TO_DO[0]:
+            rows.append(Row((who, f"{capital(cause(standing.diagnosis))}.", doing.body)))
+    unread = _unread(site)
+    if len(rows) + 2 * len(unread) < _TO_DO[0]:
         return None
     more = len(rows) - _TO_DO[1]
-    heads = (Head("Specimen"), Head("What happened", "text"), Head("What to do", "text"))
+    heads = (Head("Specimen or file"), Head("What happened", "text"), Head("What to do", "text"))
     note = f"{capital(digits(more, 'further line'))}: with the findings below." if more > 0 else ""
-    return Table("In short, what was found and what to do:", heads, tuple(rows[: _TO_DO[1]]), below=note)
+    return Table("In short, what was found and what to do:", heads, (*rows[: _TO_DO[1]], *unread), below=note)
+
+
+def _unread(site: Site) -> list[Row]:
+    """The files that have no mapping and were not read for that, in one line; no line where there are none."""
+    paths = trouble.list_unmapped(site)
+    if not paths:
+        return []
+    shown = [code(short(path.rpartition("/")[2], 80)) for path in paths[:_UNMAPPED]]
+    more = len(paths) - len(shown)
+    files = listed([*shown, f"{digits(more, 'other file')}"] if more else shown)
+    verb, they = ("has", "it was") if len(paths) == 1 else ("have", "they were")
+    todo = flow(code(f"dealab add {quote_path(short(paths[0], 300))}"), " makes one and asks for what it cannot tell.")
+    if len(paths) > 1:
+        todo = flow(todo, " So for each of them.")
+    return [Row((files, f"{capital(verb)} no mapping: {they} not read.", todo))]
 
 
 def _out_of_control(site: Site) -> list[Finding]:
@@ -175,7 +207,7 @@ def _out_of_control(site: Site) -> list[Finding]:
     ]
 
 
-def _specimen_finding(site: Site, standing: Standing, *, wide: bool) -> Finding:
+def _specimen_finding(site: Site, standing: Standing, following: Next | None, *, wide: bool) -> Finding:
     body = [*findings.evidence(standing), link("The specimen's page", site.specimen_path(standing.specimen_id))]
     # Of a fault nothing is to be seen in the recordings without it.
     is_fault = (standing.diagnosis or {}).get("stage") == RECORD
@@ -184,12 +216,14 @@ def _specimen_finding(site: Site, standing: Standing, *, wide: bool) -> Finding:
         findings.headline(standing),
         tuple(body),
         findings.kind(standing),
-        findings.what_next(standing.diagnosis, standing.stated),
+        following,
         figure,
     )
 
 
-def _shared_finding(site: Site, group: Sequence[Brief], first: Standing, *, wide: bool) -> Finding:
+def _shared_finding(
+    site: Site, group: Sequence[Brief], first: Standing, following: Next | None, *, wide: bool
+) -> Finding:
     """One finding for all specimens with the same cause; sizes and evidence are those of the first."""
     pages = [link(name(s.specimen_id), site.specimen_path(s.specimen_id)) for s in group]
     batch = found.shared_batch(group)
@@ -202,7 +236,7 @@ def _shared_finding(site: Site, group: Sequence[Brief], first: Standing, *, wide
     who: Piece = flow(" of batch ", name(batch)) if batch else ""
     title = flow(f"{capital(word(len(group)))} specimens", who, f": {cause(diagnosis)}.")
     figure = _told_figure(site, first) if wide else None
-    return Finding(title, body, findings.kind(first), findings.what_next(first.diagnosis, first.stated), figure)
+    return Finding(title, body, findings.kind(first), following, figure)
 
 
 def _told_figure(site: Site, standing: Standing) -> Figure | None:

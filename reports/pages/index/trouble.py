@@ -131,6 +131,12 @@ def count_without_result(site: Site) -> int:
     return int(site.results.rows(query)[0]["number"])
 
 
+def list_unmapped(site: Site) -> list[str]:
+    """The data files of the last run that have no mapping."""
+    rows = site.results.rows("SELECT item_id FROM items WHERE outcome = 'unmapped' ORDER BY item_id")
+    return [str(r["item_id"]).partition(":")[2] for r in rows]
+
+
 def _without_result_table(site: Site) -> Table | None:
     """What was taken in and led to no result, with what was missing."""
     query = Query(

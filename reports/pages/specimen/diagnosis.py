@@ -35,7 +35,7 @@ from reports.figures import diagnosis as figures
 from reports.findings import LISTED_CAUSES, evidence, gain, what_is_wrong, what_next
 from reports.names import Verbatim, short, visible
 from reports.pages.draft import Draft
-from reports.pages.specimen import comparing_models, explanations, unnamed
+from reports.pages.specimen import comparing_models, explanations, shifts, unnamed
 from reports.results import Query
 from reports.results import Row as Record
 from reports.words import remark
@@ -83,8 +83,8 @@ def section(draft: Draft, standing: Standing) -> Section | None:
     blocks += unnamed.blocks(draft, d)
     blocks += _candidates(draft, d)
     blocks += _gain(draft, d)
-    blocks += _film(draft, d)
-    following = what_next(d, standing.stated)
+    blocks += _film(draft, standing, d)
+    following = what_next(standing)
     if following:
         blocks.append(Next(following.title, flow(following.body, _separation(d))))
     blocks += _visible(draft, d)
@@ -425,15 +425,9 @@ def _gain(draft: Draft, d: Record) -> list[Block]:
     ]
 
 
-_FILM_SQL = """SELECT parameter, unit, plain, plain_sd, extended, extended_sd, moved_sd
-FROM diagnosis_parameters
-WHERE specimen_id = $specimen
-ORDER BY parameter"""
-
-
-def _film(draft: Draft, d: Record) -> list[Block]:
+def _film(draft: Draft, standing: Standing, d: Record) -> list[Block]:
     """How far the film's parameters move when the cause is in the model."""
-    query = Query(_FILM_SQL, {"specimen": draft.item})
+    query = Query(shifts.FILM_SQL, {"specimen": draft.item})
     found = draft.results.rows(query)
     if not found or d["verdict"] == "none":
         return []
@@ -447,8 +441,7 @@ def _film(draft: Draft, d: Record) -> list[Block]:
         for r in found
     )  # fmt: skip
     heads = (Head("Parameter"), Head("Unit"), Head("Plain", "n"), Head("Extended", "n"), Head("Moved by, SD", "n"))
-    moved = max((r["moved_sd"] for r in found if r["moved_sd"] is not None), default=0.0)
-    note = "ignoring the cause biases the film" if moved > 2 else "the film stays where it was"
+    note = shifts.tell(shifts.load(draft.results, standing))
     below = (
         "Plain: fitted without the cause to all that the diagnosis simulates, mean forces, harmonics and rests too. The model that"
         " is fitted to the responses alone is another one; its parameters stand above."

@@ -6,15 +6,15 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from markupsafe import Markup
 
 from reports.blocks import Head, Piece, Row, Section, Table, Text, code, filled, flow, sub
-from reports.evidence import beyond_noise, extended, siblings
+from reports.evidence import Standing, beyond_noise, siblings
 from reports.figures.curves import Arm, arms, relaxation_time_sd
-from reports.findings import sentences
+from reports.findings import FoundConstant, find_constants, sentences, tell_constants, tell_negative
 from reports.names import visible
 from reports.pages.draft import Draft
+from reports.pages.specimen import shifts
 from reports.results import Query
 from reports.results import Row as Record
 from reports.site import flat_metadata
@@ -36,6 +36,7 @@ from schemas.numbers import (
     significant,
     whole,
 )
+from schemas.rig_constants import RIG_CONSTANTS
 
 _ORDER_SQL = """SELECT model_order, reduced_chi2, bic - min(bic) OVER () AS delta_bic, order_p_value, magnitude_error_n_per_mm,
        phase_error_deg, held_out_error, selected
@@ -161,9 +162,9 @@ def _dissent(chosen: Record) -> str:
     return f"; {', '.join(said)}" if said else ""
 
 
-def parameters(draft: Draft, fits: Sequence[Record], chosen: Record, stated: Mapping[str, Any]) -> Section:
+def parameters(draft: Draft, standing: Standing, chosen: Record) -> Section:
     """The chosen model in numbers; beside it the extended one where there is one."""
-    after = extended(fits, chosen)
+    after, stated, moved = standing.extension, standing.stated, shifts.load(draft.results, standing)
     query = Query(
         "SELECT *\nFROM model_fits\nWHERE specimen_id = $specimen AND loading = $loading AND method = $method"
         " AND weighting IS NOT DISTINCT FROM $weighting AND model_order = $order AND coalesce(extension, '') IN ('', $extension)",
@@ -172,7 +173,10 @@ def parameters(draft: Draft, fits: Sequence[Record], chosen: Record, stated: Map
             "order": chosen["model_order"], "extension": (after or chosen)["extension"] or "",
         },
     )  # fmt: skip
-    filed = {c: _filed(stated, c) for c in _RIG if _filed(stated, c) and chosen[c] is not None}
+    filed = {c.key: _filed(stated, c.key) for c in RIG_CONSTANTS if _filed(stated, c.key) and chosen[c.key] is not None}
+    constants = find_constants(standing)
+    if after is not None:
+        after = {**after, **{key: value for f in constants for key, value in _as_columns(f).items()}}
     rows = [Row(cells) for cells in _parameter_rows(chosen, after, filed)]
     heads = [Head("Parameter"), Head("Unit"), Head("Value" if after is None else "Fitted", "n")]
     if after is not None:
@@ -189,7 +193,10 @@ def parameters(draft: Draft, fits: Sequence[Record], chosen: Record, stated: Map
         tuple(rows),
         query.shown(),
         _method_note(chosen),
-        _parameter_note(chosen, after, _step_strain(draft)),
+        flow(
+            _parameter_note(chosen, after, moved, _step_strain(draft)),
+            *(f" {text}" for text in _rig_notes(standing, chosen, constants)),
+        ),
         "narrow",
     )
     heading: Piece = "Parameters"
@@ -197,10 +204,30 @@ def parameters(draft: Draft, fits: Sequence[Record], chosen: Record, stated: Map
         sd = _modulus_sd(chosen)
         known = headline(chosen["modulus_mpa"], sd, "MPa") if is_usable(sd) else "not resolved"
         heading = flow("Parameters: modulus ", known)
+        if after is not None and chosen["k0_n_per_mm"] and after["k0_n_per_mm"] and moved.any:
+            scale = chosen["modulus_mpa"] / chosen["k0_n_per_mm"]
+            value, sd = (
+                scale * after[column] if after[column] else None for column in ("k0_n_per_mm", "k0_n_per_mm_sd")
+            )
+            heading = flow(
+                heading, f", {headline(value, sd, 'MPa')} with the cause in the model" if is_usable(sd) else ""
+            )
     return Section("parameters", heading, "Parameters", (table,))
 
 
-_RIG = ("clamp_mass_kg", "load_cell_stiffness_n_per_mm", "load_cell_damping_n_s_per_mm")
+def _as_columns(found: FoundConstant) -> dict[str, float]:
+    return {found.constant.key: found.value, f"{found.constant.key}_sd": found.sd}
+
+
+def _rig_notes(standing: Standing, chosen: Record, constants: Sequence[FoundConstant]) -> list[str]:
+    """What has to be said of the fitted constants of the rig: that the diagnosis found others, and that one cannot be so."""
+    notes = []
+    if constants:
+        notes.append(
+            "Clamp and load cell are fitted from what the rig's file says of them, within its ±; the diagnosis finds them elsewhere."
+            f" {tell_constants(standing, constants)}"
+        )
+    return [*notes, *tell_negative(chosen)]
 
 
 def _filed(stated: Mapping[str, Any], column: str) -> str:
@@ -243,7 +270,7 @@ def _parameter_rows(chosen: Record, after: Record | None, filed: Mapping[str, st
             continue
         cells: list[Piece] = [label, unit, _estimate(chosen, column, tau)]
         if after is not None:
-            cells += [_estimate(after, column, ""), _moved(chosen, after, column)]
+            cells += [_estimate(after, column, ""), significant(shifts.measure_shift(chosen, after, column), 2)]
         cells.append(tau if tau != "pure dashpot" else ABSENT)
         rows.append((*cells, filed.get(column, "")) if filed else tuple(cells))
     return rows
@@ -260,14 +287,6 @@ def _estimate(row: Record, column: str, tau: str) -> str:
     if row[column] is None:
         return "rigid: pure dashpot" if tau == "pure dashpot" else ABSENT
     return never_negative(row[column], row[f"{column}_sd"])
-
-
-def _moved(before: Record, after: Record, column: str) -> str:
-    sds = [r[f"{column}_sd"] for r in (before, after)]
-    if before[column] is None or after[column] is None or any(sd is None for sd in sds):
-        return ABSENT
-    combined = float(np.hypot(*sds))
-    return significant(abs(after[column] - before[column]) / combined, 2) if combined else ABSENT
 
 
 _SMALL_STRAIN = 0.1
@@ -290,7 +309,7 @@ def _step_strain(draft: Draft) -> float | None:
     return max(found, default=None)
 
 
-def _parameter_note(chosen: Record, after: Record | None, strain: float | None) -> Markup:
+def _parameter_note(chosen: Record, after: Record | None, moved: shifts.Shifts, strain: float | None) -> Markup:
     parts: list[Piece] = ["± is one standard deviation, scaled by √(reduced χ²) where that exceeds 1."]
     if any(_estimate(chosen, c, "").startswith("<") for c in chosen if f"{c}_sd" in chosen):
         parts.append(" <: upper 95 % limit, where ± would reach 0.")
@@ -299,7 +318,7 @@ def _parameter_note(chosen: Record, after: Record | None, strain: float | None) 
     if after is not None:
         parts.append(
             flow(
-                " Extended by ", code(after["extension"]), ". The fitted model rests on the responses alone; the plain model of the"
+                " Extended by ", code(after["extension"]), f": {shifts.tell(moved)}. The fitted model rests on the responses alone; the plain model of the"
                 " diagnosis is another fit, to all that it simulates (mean forces, harmonics and rests too), and its parameters"
                 " stand there.",
             )

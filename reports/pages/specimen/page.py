@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from reports import findings
 from reports.blocks import Link, Page, Piece, Section, Text, flow, name, separated, tag
-from reports.evidence import Standing, choice, measured, told, unasked
+from reports.evidence import Standing, measured
 from reports.figures.curves import Rig, rig
 from reports.names import short
 from reports.pages import assumed, listing, requirement
@@ -40,8 +40,8 @@ from reports.pages.specimen import (
     voltage_orders,
 )
 from reports.results import Query, Row, days
-from reports.site import SPECIMENS, Site, flat_metadata, stated_rig
-from reports.standings import find_negative
+from reports.site import SPECIMENS, Site, flat_metadata
+from reports.standings import find_negative, find_tapped, stand
 from schemas.numbers import NBSP, capital, compact, counted, digits, joined, seconds, with_unit
 
 
@@ -69,11 +69,15 @@ def page(site: Site, specimen: str) -> Page:
     used = [r for r in recordings if r["status"] in ("ok", "damaged", "excluded")]
     metadata = flat_metadata(used[-1]["metadata"]) if used else {}
     row = found[0] if found else None
-    negative = find_negative(results, Query("specimen_id = $specimen", {"specimen": specimen}))
-    standing = Standing(
-        specimen, used[-1]["material"] if used else None, used[-1]["configuration"] if used else None,
-        choice(fits), told(row), stated_rig(used), unasked(row), negative.get(specimen, ""),
-    )  # fmt: skip
+    own = Query("specimen_id = $specimen", {"specimen": specimen})
+    standing = stand(
+        specimen,
+        used,
+        fits,
+        row,
+        negative=find_negative(results, own).get(specimen, ""),
+        taps=specimen in find_tapped(results, own),
+    )
     failed = results.rows(
         Query(
             "SELECT split_part(error, chr(10), 1) AS error FROM items WHERE item_id = $item AND outcome = 'failed'",
@@ -153,7 +157,7 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
             mechanical = replace(mechanical, by_recording={})
         candidates.append(film.response(draft, fits, chosen, mechanical, standing.stated, alarm=standing.alarm))
         if chosen:
-            candidates += [models.order(draft, fits, chosen), models.parameters(draft, fits, chosen, standing.stated)]
+            candidates += [models.order(draft, fits, chosen), models.parameters(draft, standing, chosen)]
             candidates.append(models.weightings(draft))
         if has("amplitude_fits"):
             candidates.append(strains.section(draft))
@@ -169,7 +173,7 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
     elif not recorded("cycle_fits") or not chosen or chosen["method"] != "time_domain":
         candidates.append(relaxing.of_specimen(draft, recordings, chosen))
         if chosen:
-            candidates += [models.order(draft, fits, chosen), models.parameters(draft, fits, chosen, standing.stated)]
+            candidates += [models.order(draft, fits, chosen), models.parameters(draft, standing, chosen)]
     if recorded("cycle_fits"):
         candidates.append(cycles.of_specimen(draft))
     if recorded("cycle_loops"):
