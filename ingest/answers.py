@@ -14,7 +14,7 @@ from ingest.draft import Draft, Wanted, make_draft
 from ingest.draft_files import is_workbook
 from ingest.draft_text import toml_string
 from ingest.formats import list_options
-from ingest.mapping_keys import COLUMN, EACH, IGNORE, KINDS, LIFETIMES, TABLE_COLUMN, TABLE_COLUMNS, TIME
+from ingest.mapping_keys import COLUMN, EACH, IGNORE, KINDS, LIFETIMES, RECORDING, TABLE_COLUMN, TABLE_COLUMNS, TIME
 from ingest.meanings import NOTHING
 from ingest.meanings import TIME as TIMES
 from ingest.parts import name_parts
@@ -22,7 +22,7 @@ from ingest.questions import Question, unstretched
 from ingest.select import same_cell
 from schemas.alike import ask_meant
 from schemas.errors import DealabError, UsageError
-from schemas.metadata import RecordingMetadata, known_keys
+from schemas.metadata import RecordingMetadata, check_value, known_keys
 from schemas.quantities import QUANTITIES
 
 _INTEGER, _FLOAT = re.compile(r"[+-]?\d+"), re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -82,7 +82,7 @@ def draft_with(path: Path, answers: Mapping[str, str]) -> tuple[Draft, dict[str,
             known = [*known_keys(RecordingMetadata), *columns, *(q.key for q in draft.questions), "zone", *of_file]
             wrong.append(f'"{key}" is no key{ask_meant(key, known)}')
         else:
-            placed[full] = value if full.rsplit(".", 1)[-1] in _TEXTS else read_value(value)
+            placed[full] = value if is_text(full) else read_value(value)
     if wrong:
         raise UsageError("; ".join(wrong), where=path.name, expected="columns of the file, or keys of the mapping")
     return draft, placed
@@ -226,6 +226,18 @@ def _read_part(part: str) -> Any:
         except ValueError:
             return part[1:-1]
     return part[1:-1] if len(part) > 1 and part[0] == part[-1] == "'" else read_value(part)
+
+
+def answer_key(key: str, text: str) -> dict[str, Any]:
+    """The answer for a key of `[recording]`, as `answered` takes it. Raises `RefusedError` for a value that it cannot have."""
+    value = text if is_text(key) else read_value(text)
+    check_value(key, value)
+    return {f"{RECORDING}.{key}": value}
+
+
+def is_text(key: str) -> bool:
+    """Whether the value of a key is text, also where it looks like a number."""
+    return key.rsplit(".", 1)[-1] in _TEXTS
 
 
 def write_value(value: Any) -> str:

@@ -7,8 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ingest.mapping_keys import RECORDING
 from ingest.meanings import GuessedColumn
+from ingest.parts import content_of_part, name_parts
 from schemas.errors import RefusedError
+from schemas.protocols import Lack, find_lacking
 from schemas.quantities import QUANTITIES
 from schemas.units import ANY, conversion
 
@@ -80,6 +83,20 @@ def unstretched(unit: str) -> float:
         return float(f"{1 / conversion(unit, QUANTITIES['stretch'].unit).scale:.12g}")
     except RefusedError:
         return 1.0
+
+
+def list_lacks(content: Mapping[str, Any]) -> list[tuple[Lack, ...]]:
+    """What a mapping does not say that would give more results: of its recording, or of each part that it names; of no table."""
+    if content["kind"] != RECORDING:
+        return []
+    parts: list[Mapping[str, Any]] = [content_of_part(content, name) for name in name_parts(content)]
+    rig = {"rig_id"} if content.get("rig") else set()
+    return [
+        find_lacking(
+            {*part["recording"], *rig}, part["columns"], part["recording"]["protocol"], part["recording"]["loading"]
+        )
+        for part in parts or [content]
+    ]
 
 
 _WEIGHTS: Mapping[str, str] = {"g": "gf", "kg": "kgf"}

@@ -53,6 +53,12 @@ def find_home(path: Path) -> Path:
     return home if path.is_absolute() else Path(os.path.relpath(home))
 
 
+def list_rigs(path: Path, rigs: Path | None = None) -> list[str]:
+    """The rigs that have a file, in `rigs` or else in the folder of rig files nearest to a recording; in order."""
+    folder = find_home(path) / FOLDER if rigs is None else rigs
+    return sorted(file.stem for file in folder.glob("*.toml") if RECORDING_ID.fullmatch(file.stem))
+
+
 def tell_absent(recording: Recording, path: Path, rigs: Path | None = None) -> str:
     """That the rig which a recording names has no file, in `rigs` or around it, nor constants of its own; else empty."""
     rig_id = recording.rig.rig_id or recording.metadata.rig_id

@@ -438,6 +438,21 @@ def _check_sweep(metadata: RecordingMetadata, where: str) -> None:
         )
 
 
+def describe_key(key: str) -> str:
+    """What a key of a recording means, in words."""
+    meaning: str = _find_field(key).metadata["meaning"]
+    return meaning
+
+
+def check_value(key: str, value: Any, *, where: str = "") -> None:
+    """Raises `RefusedError` where a key of a recording cannot have that value."""
+    _checked(_find_field(key).metadata["parser"], key, value, where)
+
+
+def _find_field(key: str) -> dataclasses.Field[Any]:
+    return next(f for f in dataclasses.fields(RecordingMetadata) if f.name == key)
+
+
 def near_miss(key: str, cls: type) -> str | None:
     """The known key that an unknown one seems to be a misspelling of; None where it looks like none of them."""
     if key.startswith(OWN_KEY):

@@ -162,6 +162,54 @@ NEEDS: Mapping[tuple[str, str], Need] = MappingProxyType(
 """By protocol and loading what a diagnosis needs and no record shows well enough. Other results may come all the same."""
 
 
+WITH_RIG = (
+    ("chirp", MECHANICAL),
+    ("chirp", ELECTRICAL),
+    ("sphs", ELECTRICAL),
+    ("cyclic", MECHANICAL),
+    ("noise", MECHANICAL),
+    ("step", MECHANICAL),
+)
+"""Tests in whose analysis the constants of the rig stand."""
+
+
+@dataclass(frozen=True)
+class Want:
+    """Keys without which tests of these kinds give less: `cost` is what does not come."""
+
+    keys: tuple[str, ...]
+    tests: tuple[tuple[str, str], ...]
+    cost: str
+
+
+_OF_A_MODULUS = tuple((name, MECHANICAL) for name in ("chirp", "cyclic", "step", "cycle", "pull"))
+_OF_BLOCKED_FORCE = tuple((name, ELECTRICAL) for name in ("chirp", "sphs", "step", "cycle"))
+WANTS = (
+    Want(("rig_id",), WITH_RIG, "no correction for the resonance of clamp and load cell"),
+    Want(("film_length_mm", "film_width_mm", "film_thickness_mm"), _OF_A_MODULUS, "no modulus"),
+    Want(("active_length_mm", "active_width_mm", "film_thickness_mm"), _OF_BLOCKED_FORCE, "no permittivity"),
+    Want(("stretch_1",), (("force_map", ELECTRICAL),), "no place on a map of forces"),
+)
+"""What else a test wants to be told, and no file of samples shows; `NEEDS` beside it."""
+
+
+@dataclass(frozen=True)
+class Lack:
+    """Keys that a recording lacks, and in words what they cost."""
+
+    keys: tuple[str, ...]
+    told: str
+
+
+def find_lacking(given: Container[str], channels: Container[str], name: str, loading: str) -> tuple[Lack, ...]:
+    """Keys of `WANTS` and `NEEDS` that are not among the given ones, for a test with these channels."""
+    wanted = [(want.cost, want.keys) for want in WANTS if (name, loading) in want.tests]
+    lacking = [(cost, tuple(key for key in keys if key not in given)) for cost, keys in wanted]
+    found = [Lack(keys, f"{cost}: {', '.join(keys)} missing") for cost, keys in lacking if keys]
+    needed = find_needed_keys(given, channels, name, loading)
+    return (*found, *([Lack(needed, tell_needed(" and ".join(needed)))] if needed else []))
+
+
 def tell_needed(keys: str) -> str:
     """What it costs that `keys`, as a text of one or several, are missing, and what to do."""
     return (

@@ -17,7 +17,7 @@ from pipeline.physics.rig import missing_constants, rig_prior
 from schemas.assumptions import Assumption
 from schemas.metadata import RecordingMetadata, RigConstants, TableMetadata
 from schemas.numbers import compact
-from schemas.protocols import CALIBRATION, ELECTRICAL, MECHANICAL, OTHER
+from schemas.protocols import ELECTRICAL, MECHANICAL, WITH_RIG
 from schemas.recording import Recording
 from schemas.tables import TABLES
 
@@ -50,7 +50,7 @@ def find_assumptions(recording: Recording) -> tuple[Assumption, ...]:
         found += _about_pull(about, channels)
     if about.loading == ELECTRICAL:
         found += _about_voltage(about, recording.rig, channels)
-    if _uses_rig(about):
+    if (about.protocol, about.loading) in WITH_RIG:
         found += _about_rig(recording.rig)
     found += _about_unused(recording)
     return tuple(found)
@@ -215,16 +215,6 @@ def _about_unused(recording: Recording) -> Iterator[Assumption]:
             f"no analysis of {about.loading} {about.protocol} recordings takes it",
             "every result, if what it shows matters",
         )
-
-
-def _uses_rig(about: RecordingMetadata) -> bool:
-    """Whether the constants of the rig stand in the analysis."""
-    if about.loading == CALIBRATION or about.loading == OTHER:
-        return False
-    return about.protocol in ("chirp", "sphs", "cyclic", "noise") or (about.protocol, about.loading) == (
-        "step",
-        MECHANICAL,
-    )
 
 
 def _about_rig(rig: RigConstants) -> Iterator[Assumption]:

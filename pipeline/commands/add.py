@@ -6,6 +6,7 @@ import shlex
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import chain
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +24,8 @@ YES = argument(
     nargs="*",
     action="extend",
     metavar="KEY=VALUE",
-    help="answers, such as specimen_id=P-07 force.unit=mN CH1=voltage film_sizes_mm=50x20x0.5; for what else is asked, "
-    "the suggestion is taken",
+    help="answers, such as specimen_id=P-07 force.unit=mN CH1=voltage, and what the test needs, such as rig_id=rig-a "
+    "film_sizes_mm=50x20x0.5 frequency_start_hz=1; for what else is asked, the suggestion is taken",
 )
 REPLACE = argument("--replace", action="store_true", help="writes a new mapping where there is one already")
 
@@ -103,10 +104,24 @@ def _find_shared(paths: Sequence[Path], given: Sequence[str]) -> dict[Path, set[
     return {path: every - keys for path, keys in known.items()}
 
 
+def _ask_person(text: str) -> str:
+    """A line that somebody types. Raises `UsageError` where there will be none any more."""
+    from schemas.errors import UsageError
+
+    try:
+        return input(text)
+    except EOFError:
+        print()
+        raise UsageError(
+            "the answers ended before the questions: nothing is written",
+            expected="a line for each question; an empty one takes what is offered, or leaves a key out",
+        ) from None
+
+
 def add_file(
     path: Path,
     arguments: Namespace,
-    ask: Callable[[str], str] = input,
+    ask: Callable[[str], str] = _ask_person,
     shared: Mapping[Path, Collection[str]] = MappingProxyType({}),
 ) -> int:
     """Drafts, asks, checks and writes the mapping of one file; returns the exit status.
@@ -129,14 +144,17 @@ def add_file(
         )
     given = split_answers(arguments.yes or [])
     given = {key: value for key, value in given.items() if key not in shared.get(path, ())}
-    draft, said = _ready(path, given, ask, is_asked=arguments.yes is None)
+    is_asked = arguments.yes is None
+    draft, said = _ready(path, given, ask, is_asked=is_asked)
     if draft is None:
         for line in said:
             print(make_safe(line), file=sys.stderr)
         return FAILED
     for line in said:
         print(make_safe(line))
-    return _write(draft, beside, arguments.rigs)
+    if is_asked and sys.stdin.isatty():
+        draft = _ask_wanted(draft, ask, arguments.rigs)
+    return _write(draft, beside, arguments.rigs, is_asked=is_asked)
 
 
 def _ready(
@@ -144,7 +162,7 @@ def _ready(
 ) -> tuple[Draft | None, list[str]]:
     """The draft with every question answered and what was recognised; None and what is missing where one is not."""
     from ingest.answers import answered, as_suggested, draft_with
-    from ingest.questions import name_column
+    from ingest.questions import list_lacks, name_column
 
     draft, placed = draft_with(path, given)
     draft = answered(draft, placed)
@@ -157,6 +175,10 @@ def _ready(
     if is_asked and draft.questions:
         wanted = shlex.join(f"{q.key}={_shown(q.suggestion)}" for q in draft.questions)
         lines += [f"  asks       {q.key}: {q.text}" for q in draft.questions]
+        lines += [
+            f"  lacks      {text}"
+            for text in dict.fromkeys(lack.told for some in list_lacks(draft.content) for lack in some)
+        ]
         return None, [*lines, f"Answer with: `dealab add {quote_path(str(draft.path))} --yes {wanted}`"]
     draft, taken = as_suggested(draft)
     if draft.questions:
@@ -193,6 +215,52 @@ def _ask_all(draft: Draft, ask: Callable[[str], str]) -> Draft:
     return draft
 
 
+def _ask_wanted(draft: Draft, ask: Callable[[str], str], rigs: Path | None) -> Draft:
+    """Asks what this kind of test needs for all its results; an empty line leaves a key out."""
+    from ingest.answers import answer_key, answered
+    from ingest.questions import list_lacks
+    from schemas.errors import RefusedError
+
+    lacked = [[key for lack in lacks for key in lack.keys] for lacks in list_lacks(draft.content)]
+    everywhere = [key for key in dict.fromkeys(chain(*lacked)) if all(key in keys for keys in lacked)]
+    for key in everywhere:
+        while text := ask(f"  {key}: {_describe(key, draft.path, rigs)} (Enter leaves it out): ").strip():
+            try:
+                draft = answered(draft, answer_key(key, text))
+                break
+            except RefusedError as error:
+                print(make_safe(f"    {error}"))
+    return draft
+
+
+def _describe(key: str, path: Path, rigs: Path | None) -> str:
+    """What a key means; of the rig, which files of rigs there are as well."""
+    from ingest.rigs import list_rigs
+    from schemas.metadata import describe_key
+
+    there = list_rigs(path, rigs) if key == "rig_id" else []
+    return make_safe(f"{describe_key(key)}; there is {', '.join(there)}" if there else describe_key(key))
+
+
+def _tell_missing(draft: Draft, beside: Path, rigs: Path | None, *, is_asked: bool) -> list[str]:
+    """What the mapping still lacks, as lines to put into it, and where; empty where it lacks nothing."""
+    from ingest.answers import is_text
+    from ingest.mapping_keys import RECORDING
+    from ingest.questions import list_lacks
+
+    lacks = list_lacks(draft.content)
+    keys = list(dict.fromkeys(key for some in lacks for lack in some for key in lack.keys))
+    if not keys:
+        return []
+    place = f"[{RECORDING}]" + (" (of one part: [select.recording])" if len(lacks) > 1 else "")
+    again = "" if is_asked else f", or {keys[0]}=… and so on behind --yes, with --replace"
+    typed = [f"{key} = " + ('"…"' if is_text(key) else "…") for key in keys]
+    return [
+        f"Still missing; write what you know of it below {place} in {make_safe(beside.name)}{again}:",
+        *(f"  {line:<24} # {_describe(key, draft.path, rigs)}" for key, line in zip(keys, typed, strict=True)),
+    ]
+
+
 def _value_at(content: Mapping[str, Any], key: str) -> Any:
     value: Any = content
     for part in key.split("."):
@@ -212,7 +280,7 @@ def _recognised(draft: Draft) -> str:
     return f"a table of kind {draft.content['kind']}"
 
 
-def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
+def _write(draft: Draft, beside: Path, rigs: Path | None, *, is_asked: bool) -> int:
     """Checks the mapping with its file and writes it; where anything is wrong, says all of it and writes nothing."""
     from ingest.atomic import written_whole
     from ingest.compressed import find_stem, find_suffix
@@ -235,6 +303,8 @@ def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
     print("\n".join(lines))
     folder = make_safe(quote_path(str(find_home(path))))
     print(f"Written: {make_safe(str(beside))}. The next `dealab nightly {folder}` takes the file.")
+    for line in _tell_missing(draft, beside, rigs, is_asked=is_asked):
+        print(line)
     return ATTENTION if any(line.startswith("  problem") for line in lines) else DONE
 
 

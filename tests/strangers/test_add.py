@@ -86,6 +86,7 @@ def test_questions_are_all_told_where_nobody_can_be_asked(
     said = capsys.readouterr().err
     asked = ("time.unit", "columns.displacement.unit", "columns.force.scale", "recording.specimen_id")
     assert all(f"asks       {key}" in said for key in asked)
+    assert "lacks      no modulus: film_length_mm, film_width_mm, film_thickness_mm missing" in said
     assert not (tmp_path / "volts.csv.toml").exists()
     assert main(["add", str(path), "--yes", "specimen_id=X"]) == 1
     assert "force.scale" in capsys.readouterr().err
@@ -98,19 +99,16 @@ def test_questions_are_all_told_where_nobody_can_be_asked(
 def test_answers_in_a_terminal_and_suggestions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_relaxation(tmp_path / "run.csv")
 
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
     monkeypatch.setattr("sys.stdin", Terminal())
     asked: list[str] = []
 
     def ask(text: str) -> str:
         asked.append(text)
-        return "Europe/Zurich"
+        return "Europe/Zurich" if "zone" in text else ""
 
     assert add.add_file(path, _arguments(), ask) == 0
-    assert len(asked) == 1
+    assert ["zone" in text for text in asked] == [True, False]
+    assert "rig_id" in asked[1]
     assert 'zone = "Europe/Zurich"' in (tmp_path / "run.csv.toml").read_text(encoding="utf-8")
     draft, taken = as_suggested(make_draft(path))
     assert not draft.questions
@@ -524,6 +522,63 @@ def test_the_preview_says_which_results_will_not_come(tmp_path: Path, capsys: py
     frequencies = ["frequency_start_hz=1", "frequency_stop_hz=20"]
     assert main(["add", str(path), "--replace", "--yes", *SWEPT, *frequencies]) == 0
     assert "no diagnosis" not in capsys.readouterr().out
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_what_a_test_needs_is_asked_and_may_be_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither rig nor sizes nor frequencies were asked for, and a night later the sweep had no diagnosis."""
+    path = write_sweep(tmp_path / "first" / "P-07" / "run7.csv")
+    (tmp_path / "first" / "rigs").mkdir()
+    (tmp_path / "first" / "rigs" / "rig-a.toml").write_text("load_cell_stiffness_n_per_mm = 40\n")
+    monkeypatch.setattr("sys.stdin", Terminal())
+    said = {"rig_id": ["rig-a"], "film_length_mm": ["fifty", "-1", "50"], "frequency_start_hz": ["1"]}
+    asked: list[str] = []
+
+    def ask(text: str) -> str:
+        asked.append(text)
+        return said.get(text.split(":")[0].strip(), [""]).pop(0)
+
+    assert add.add_file(path, _arguments(), ask) == 0
+    assert any("rig-a" in text for text in asked), asked
+    written = tomllib.loads((path.parent / "run7.csv.toml").read_text(encoding="utf-8"))["recording"]
+    assert (written["rig_id"], written["film_length_mm"], written["frequency_start_hz"]) == ("rig-a", 50, 1)
+    assert not {"film_width_mm", "film_thickness_mm", "frequency_stop_hz"} & written.keys()
+
+
+def test_answers_that_end_too_early_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The end of the input (Ctrl-D) ended in a traceback."""
+    path = write_sweep(tmp_path / "run7.csv")
+    monkeypatch.setattr("sys.stdin", Terminal())
+    assert main(["add", str(path)]) == 2
+    assert "nothing is written" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["run7.csv"]
+
+
+def test_what_is_missing_is_told_in_the_last_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_sweep(tmp_path / "run7.csv")
+    assert main(["add", str(path), "--yes", *SWEPT, "frequency_start_hz=1", "film_sizes_mm=50x20x0.5"]) == 0
+    head, *lines = capsys.readouterr().out.split("Still missing")[1].splitlines()
+    assert "below [recording] in run7.csv.toml" in head
+    assert "--yes" in head
+    assert [line.split("#")[0].strip() for line in lines] == ['rig_id = "…"', "frequency_stop_hz = …"]
+    more = ["frequency_start_hz=1", "film_sizes_mm=50x20x0.5", "rig_id=rig-a", "frequency_stop_hz=20"]
+    assert main(["add", str(path), "--replace", "--yes", *SWEPT, *more]) == 0
+    assert "Still missing" not in capsys.readouterr().out
+
+
+def test_a_life_lacks_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "life.csv"
+    path.write_text("\n".join(["time (s),HV_kV", *(f"{i},{5.0 if i < 50 else 0.0}" for i in range(60)), ""]))
+    assert main(["add", str(path), "--yes", "specimen_id=L-1"]) == 0
+    told = capsys.readouterr().out
+    assert "lifetime" in told
+    assert "Still missing" not in told
 
 
 def test_the_next_night_is_given_the_folder_that_holds_the_rigs(

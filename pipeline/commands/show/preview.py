@@ -17,7 +17,7 @@ from pipeline.transform.loops import find_loops
 from pipeline.transform.relaxation import relaxation_curve
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
-from schemas.protocols import find_needed_keys, tell_needed
+from schemas.protocols import find_lacking
 from schemas.quantities import QUANTITIES
 from schemas.recording import RawRecording, Recording
 
@@ -43,8 +43,6 @@ _GIVES = {
     ("tap", "calibration"): "frequency and damping of the clamp, used for recordings of this rig",
     ("weight", "calibration"): "gain and offset of the load cell, used for recordings of this rig",
 }
-_NEEDS_MODULUS = ("chirp", "cyclic", "step", "cycle", "pull")
-_SIZES = ("film_length_mm", "film_width_mm", "film_thickness_mm")
 
 
 def describe_preview(path: Path, mapping: FileMapping, rigs: Path | None = None) -> Iterator[str]:
@@ -117,14 +115,9 @@ def _describe_recording(recording: Recording) -> Iterator[str]:
         yield from (f"    {line}" for line in draw(seconds, channel.values))
     gives = _GIVES.get((about.protocol, about.loading), "samples in the database")
     yield f"  will give  {gives}"
-    missing = [key for key in _SIZES if getattr(about, key) is None]
-    if about.protocol in _NEEDS_MODULUS and about.loading == "mechanical" and missing:
-        yield f"             no modulus: {', '.join(missing)} missing"
-    needed = find_needed_keys(about.to_text(), recording.channels, about.protocol, about.loading)
-    if needed:
-        yield f"             {tell_needed(' and '.join(needed))}"
-    if about.rig_id is None and about.protocol in ("chirp", "cyclic"):
-        yield "             the resonance of clamp and load cell stays in: no rig_id"
+    given = about.to_text() | ({"rig_id": ""} if recording.rig.to_text() else {})
+    for lack in find_lacking(given, recording.channels, about.protocol, about.loading):
+        yield f"             {lack.told}"
     if (about.protocol, about.loading) == ("cycle", "mechanical"):
         yield from (f"  note       {remark}" for remark in _remark_cycles(recording))
     if (about.protocol, about.loading) == ("step", "mechanical"):
