@@ -15,14 +15,14 @@ from ingest.mapping import list_faults as list_mapping_faults
 from ingest.mapping_keys import EACH, IGNORE, RECORDING
 from ingest.parts import content_of_part, list_parts, name_parts, part_of
 from ingest.read import open_columns, read_raw
-from ingest.rigs import find_rig
+from ingest.rigs import find_home, find_rig
 from schemas.errors import DealabError
 from schemas.metadata import RecordingMetadata, TableMetadata, list_faults
 from schemas.recording import RawRecording, Recording
 
 
 def find_faults(
-    path: Path, content: Mapping[str, Any], *, source: str = "", root: Path | None = None, rigs: Path | None = None
+    path: Path, content: Mapping[str, Any], *, source: str = "", rigs: Path | None = None
 ) -> tuple[DealabError, ...]:
     """All that keeps a file from being taken in with a mapping; empty where nothing does.
 
@@ -31,7 +31,7 @@ def find_faults(
     path : the data file
     content : the mapping's tables
     source : name of the mapping, for messages
-    root, rigs : where rig files are looked for, as in `ingest.rigs.find_rig`
+    rigs : folder of rig files; None: those that a night over the folder around the file would find
     """
     stem, suffix = find_stem(path), find_suffix(path)
     faults = list(list_static_faults(content, stem=stem, suffix=suffix, source=source))
@@ -47,7 +47,7 @@ def find_faults(
         try:
             raw = read_raw(path, part)
             if isinstance(raw, RawRecording):
-                check(raw, path, root=root, rigs=rigs)
+                check(raw, path, rigs=rigs)
         except DealabError as first:
             faults += [first, *_of_columns(path, part)]
     return _each_once(faults)
@@ -79,10 +79,10 @@ def _list_abouts(content: Mapping[str, Any], stem: str) -> list[Mapping[str, Any
     return [content_of_part(stamped, name)["recording"] for name in name_parts(content)] or [about]
 
 
-def check(raw: RawRecording, path: Path, *, root: Path | None = None, rigs: Path | None = None) -> Recording:
+def check(raw: RawRecording, path: Path, *, rigs: Path | None = None) -> Recording:
     """The recording in canonical units, with the file of its rig. Raises `DealabError` where it cannot be one."""
     rig_id = RecordingMetadata.parse(raw.metadata, where=path.name).rig_id or raw.rig.get("rig_id")
-    rig_file = find_rig(rig_id, path, root=root, rigs=rigs)
+    rig_file = find_rig(rig_id, path, root=find_home(path), rigs=rigs)
     return canonical(raw, where=path.name, rig_file=None if rig_file is None else rig_file.values)
 
 

@@ -87,8 +87,8 @@ class Inspection:
         return "\n".join(lines)
 
 
-def inspect(path: Path, *, root: Path | None = None, rigs: Path | None = None) -> Inspection:
-    """What is in a file. `root` and `rigs` say where rig files are looked for, as in `ingest.rigs.find_rig`.
+def inspect(path: Path, *, rigs: Path | None = None) -> Inspection:
+    """What is in a file. Rig files are those of `rigs`, else those that a night over the folder around the file would find.
 
     Never raises for what is in the file: `error` holds the reason. Raises `RefusedError` only when the path is no file.
     """
@@ -100,15 +100,15 @@ def inspect(path: Path, *, root: Path | None = None, rigs: Path | None = None) -
         mapping = find_mapping(path)
         found = format_of(path, mapping)
         if mapping is not None and mapping.parts_file:
-            return _inspect_parts(path, mapping, size, root, rigs)
-        return _inspect_content(path, found, size, read_raw(path, mapping), root, rigs)
+            return _inspect_parts(path, mapping, size, rigs)
+        return _inspect_content(path, found, size, read_raw(path, mapping), rigs)
     except UnmappedError as error:
         return _unmapped(path, found, size, error)
     except DealabError as error:
-        return Inspection(path, found, size, REFUSED, error=error, others=_others(path, error, root, rigs))
+        return Inspection(path, found, size, REFUSED, error=error, others=_others(path, error, rigs))
 
 
-def _inspect_parts(path: Path, mapping: FileMapping, size: int, root: Path | None, rigs: Path | None) -> Inspection:
+def _inspect_parts(path: Path, mapping: FileMapping, size: int, rigs: Path | None) -> Inspection:
     """A file of several recordings: the first of them, or the first that does not fit, and which there are."""
     labels = list_parts(path, mapping)
     found = format_of(path, mapping)
@@ -116,18 +116,16 @@ def _inspect_parts(path: Path, mapping: FileMapping, size: int, root: Path | Non
     inspected = []
     for label in labels:
         try:
-            one = _inspect_content(path, found, size, read_raw(path, part_of(mapping, label)), root, rigs)
+            one = _inspect_content(path, found, size, read_raw(path, part_of(mapping, label)), rigs)
         except DealabError as error:
             one = Inspection(path, found, size, REFUSED, error=error)
         inspected.append(replace(one, notes=(told, f"this is the part {label}", *one.notes)))
     return max(inspected, key=lambda one: (FITS, DAMAGED, REFUSED).index(one.verdict))
 
 
-def _inspect_content(
-    path: Path, found: str | None, size: int, raw: Content, root: Path | None, rigs: Path | None
-) -> Inspection:
+def _inspect_content(path: Path, found: str | None, size: int, raw: Content, rigs: Path | None) -> Inspection:
     if isinstance(raw, RawRecording):
-        return _recording(path, found, size, raw, root, rigs)
+        return _recording(path, found, size, raw, rigs)
     if isinstance(raw, LifetimeTable):
         kind, rows = "lifetimes", len(raw.rows)
         columns: tuple[ChannelSummary, ...] = (
@@ -157,27 +155,25 @@ def _inspect_content(
     )
 
 
-def _others(path: Path, first: DealabError, root: Path | None, rigs: Path | None) -> tuple[DealabError, ...]:
+def _others(path: Path, first: DealabError, rigs: Path | None) -> tuple[DealabError, ...]:
     """What else is wrong with the file's own mapping, so that all can be put right in one go."""
     beside = own_mapping(path)
     if not beside.is_file():
         return ()
     try:
-        faults = find_faults(path, load_toml(beside), source=beside.name, root=root, rigs=rigs)
+        faults = find_faults(path, load_toml(beside), source=beside.name, rigs=rigs)
     except DealabError:
         return ()
     return tuple(fault for fault in faults if fault.problem != first.problem)
 
 
-def _recording(
-    path: Path, found: str | None, size: int, raw: RawRecording, root: Path | None, rigs: Path | None
-) -> Inspection:
+def _recording(path: Path, found: str | None, size: int, raw: RawRecording, rigs: Path | None) -> Inspection:
     start = min((int(c.time_ns.min()) for c in raw.channels if c.time_ns.size), default=0)
     as_found = tuple(_summary(c.quantity, c.unit, c.values, c.time_ns, start) for c in raw.channels)
     texts = tuple((str(k), str(v)) for k, v in raw.metadata.items())
     constants = tuple((str(k), str(v)) for k, v in raw.rig.items())
     try:
-        recording = check(raw, path, root=root, rigs=rigs)
+        recording = check(raw, path, rigs=rigs)
     except DealabError as error:
         return Inspection(
             path,
@@ -190,7 +186,7 @@ def _recording(
             problems=raw.problems,
             notes=raw.notes,
             error=error,
-            others=_others(path, error, root, rigs),
+            others=_others(path, error, rigs),
         )
     return Inspection(
         path,

@@ -48,7 +48,7 @@ def find_rig(rig_id: str | None, path: Path, *, root: Path | None = None, rigs: 
 def find_home(path: Path) -> Path:
     """The folder that a nightly has to be given so that it finds the rig files of a recording: the nearest one around it
     that holds a folder `rigs`, the recording's own where none does. Relative where `path` is."""
-    own = path.parent.absolute()
+    own = Path(os.path.abspath(path.parent))
     home = next((folder for folder in (own, *own.parents) if (folder / FOLDER).is_dir()), own)
     return home if path.is_absolute() else Path(os.path.relpath(home))
 
@@ -80,8 +80,8 @@ def _is_file(candidate: Path) -> bool:
 
 
 def _folders(path: Path, root: Path | None) -> list[Path]:
-    own = path.parent
-    top = own if root is None else (root if root.is_dir() else root.parent)
+    own = Path(os.path.abspath(path.parent))
+    top = own if root is None else Path(os.path.abspath(root if root.is_dir() else root.parent))
     folders = [own / FOLDER]
     if own != top and top in own.parents:
         for parent in own.parents:

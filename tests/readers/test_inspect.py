@@ -21,6 +21,7 @@ from ingest.mapping import FileMapping
 from ingest.meanings import guess_meaning
 from ingest.sniff import guess_text
 from pipeline.cli import main
+from tests.helpers.small_lab import chirp
 from tests.helpers.xlsx_files import write_xlsx
 
 N = 50
@@ -245,3 +246,18 @@ time = {column = "t", unit = "s"}
 columns.force = {column = "F", unit = "N"}
 columns.displacement = {column = "x", unit = "mm"}
 """
+
+
+@pytest.mark.parametrize(("place", "start"), [("P-7", ""), ("P-7", "P-7"), ("rigs", ""), ("rigs", "rigs")])
+def test_the_rig_file_around_a_recording_is_joined(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, start: str
+) -> None:
+    """Only one beside the recording was: not that of a calibration among the rig files, nor one further up."""
+    (tmp_path / place).mkdir()
+    (tmp_path / "rigs").mkdir(exist_ok=True)
+    (tmp_path / "rigs" / "rig-a.toml").write_text("load_cell_stiffness_n_per_mm = 40.0\n")
+    chirp(tmp_path / place / "run.mcap", 1)
+    monkeypatch.chdir(tmp_path / start)
+    found = inspect(Path(os.path.relpath(tmp_path / place / "run.mcap")))
+    assert ("load_cell_stiffness_n_per_mm", "40.0") in found.rig
+    assert not any("is not there" in note for note in found.notes), found.notes
