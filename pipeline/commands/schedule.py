@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 NAME = "dealab-nightly"
+_OF_USER = "~/.config/systemd/user"
 
 
 def find_executable() -> Path:
@@ -129,12 +130,41 @@ def write_crontab(job: Job, at: str) -> str:
     )
 
 
+def tell_next(folder: Path) -> list[str]:
+    """What to type for systemd to start the units of a folder: as the system from one of its own, else the user."""
+    import shlex
+
+    folder = folder.absolute()
+    if folder.parts[-2:] == ("systemd", "system"):
+        return ["sudo systemctl daemon-reload", f"sudo systemctl enable --now {NAME}.timer"]
+    if folder.parts[-2:] == ("systemd", "user"):
+        known = "systemctl --user daemon-reload"
+    else:
+        known = "systemctl --user link " + shlex.join(str(folder / f"{NAME}.{kind}") for kind in ("service", "timer"))
+    return [
+        known,
+        f"systemctl --user enable --now {NAME}.timer",
+        'loginctl enable-linger "$USER"  # so that it runs while nobody is logged in',
+    ]
+
+
+def _spell(job: Job, at: str, *options: str) -> str:
+    """This command again, with absolute paths; `~` stays for the shell."""
+    import shlex
+
+    program, _, *given = job.words
+    return " ".join([shlex.join([program, "schedule", *given, "--at", at]), *options])
+
+
 def run(arguments: Namespace) -> int:
+    from pathlib import Path
+
     job = Job(arguments.raw, arguments.lab, arguments.rigs, arguments.jobs, arguments.cluster)
     for path in job.missing():
         print(f"dealab: {shown(path)} is not there now: no night is done without it", file=sys.stderr)
     if arguments.cron:
         print(write_crontab(job, arguments.at), end="")
+        print(f"# To turn it on:\n# (crontab -l 2>/dev/null; {_spell(job, arguments.at, '--cron')}) | crontab -")
         return DONE
     for name, text in write_units(job, arguments.at).items():
         if arguments.out is None:
@@ -143,6 +173,11 @@ def run(arguments: Namespace) -> int:
             arguments.out.mkdir(parents=True, exist_ok=True)
             (arguments.out / name).write_text(text, encoding="utf-8")
             print(arguments.out / name)
+    if arguments.out is None:
+        typed = [_spell(job, arguments.at, "--out", _OF_USER), *tell_next(Path(_OF_USER))]
+        print("\n".join(["# To turn it on:", *(f"# {line}" for line in typed)]))
+    else:
+        print("\n".join(["To turn it on:", *tell_next(arguments.out)]))
     return DONE
 
 

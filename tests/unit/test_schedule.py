@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.cli import COMMANDS, main
-from pipeline.commands.schedule import Job, write_crontab, write_units
+from pipeline.commands.schedule import Job, tell_next, write_crontab, write_units
 from schemas.errors import UsageError
 
 AWKWARD = '/data/rig a/50 % "damp" $HOME\'s'
@@ -78,6 +78,45 @@ def test_units_are_written_where_they_are_wanted(tmp_path: Path, capsys: pytest.
     told = capsys.readouterr()
     assert "dealab-nightly.timer" in told.out
     assert "raw is not there now" in told.err, "a slip of the pen is told before the night fails over it"
+
+
+def told_to_type(text: str) -> list[str]:
+    """The commands below the words that announce them."""
+    return [line.lstrip("# ") for line in text.split("To turn it on")[1].splitlines()[1:]]
+
+
+def test_what_turns_the_units_on_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Units were written and nothing said that they rest until systemd is told of them."""
+    monkeypatch.chdir(tmp_path)
+    on = [
+        "systemctl --user daemon-reload",
+        "systemctl --user enable --now dealab-nightly.timer",
+        'loginctl enable-linger "$USER"',
+    ]
+    assert main(["schedule", str(tmp_path), "--out", "home/systemd/user"]) == 0
+    assert [line.split("  #")[0] for line in told_to_type(capsys.readouterr().out)] == on
+    assert main(["schedule", str(tmp_path), "--out", "some where"]) == 0
+    typed = told_to_type(capsys.readouterr().out)
+    places = [tmp_path / "some where" / f"dealab-nightly.{kind}" for kind in ("service", "timer")]
+    assert typed[0] == f"systemctl --user link '{places[0]}' '{places[1]}'"
+    assert [line.split("  #")[0] for line in typed[1:]] == on[1:]
+    assert main(["schedule", "raw", "--lab", "lab", "--at", "02:30"]) == 0
+    out = capsys.readouterr().out
+    first = shlex.split(told_to_type(out)[0])
+    assert first[1:6] == ["schedule", str(tmp_path / "raw"), "--lab", str(tmp_path / "lab"), "--at"]
+    assert first[6:] == ["02:30", "--out", "~/.config/systemd/user"]
+    assert [line.split("  #")[0] for line in told_to_type(out)[1:]] == on
+    assert main(["schedule", str(tmp_path), "--cron"]) == 0
+    (typed_line,) = told_to_type(capsys.readouterr().out)[:1]
+    assert typed_line.startswith("(crontab -l 2>/dev/null; ")
+    assert typed_line.endswith("--cron) | crontab -")
+
+
+def test_units_of_the_system_are_turned_on_by_its_administrator() -> None:
+    lines = tell_next(Path("/etc/systemd/system"))
+    assert lines == ["sudo systemctl daemon-reload", "sudo systemctl enable --now dealab-nightly.timer"]
 
 
 def test_raw_files_that_are_there_are_not_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
