@@ -66,9 +66,18 @@ def _noise_quantile(fit: Row, deviations: float) -> float:
     Wilson and Hilferty's normal approximation; each fitted line has two components.
     """
     lines = fit["frequency_lines"] or 1
-    freedom = max(1, 2 * lines - (2 * fit["model_order"] + 1))
+    return _quantile(max(1, 2 * lines - (2 * fit["model_order"] + 1)), deviations)
+
+
+def _quantile(freedom: int, deviations: float) -> float:
     spread = 2 / (9 * freedom)
     return float(max(1 - spread + deviations * math.sqrt(spread), 0.0) ** 3)
+
+
+def plain_beyond_noise(diagnosis: Row) -> bool:
+    """The plain model of a diagnosis misses its recordings by more than noise: what it says of the film has no ± that would hold."""
+    chi2, count = diagnosis["chi2"], diagnosis["feature_count"]
+    return bool(chi2 and count) and chi2 / count > _quantile(count, _IN_99_OF_100)
 
 
 def beyond_noise(fit: Row) -> bool:

@@ -112,6 +112,17 @@ def _tell_stiffness(fit: Row) -> Markup:
     return flow(sub("k", 0), f"{NBSP}={NBSP}{numbers.headline(value, sd, 'N/mm')}")
 
 
+def _tell_beside(standing: Standing) -> str:
+    """What has to stand beside the stiffness of a plain model that a diagnosis finds wanting: that with the cause in it, or that its ± does not hold."""
+    if standing.verdict in ("", "none"):
+        return ""
+    with_cause = standing.extension
+    if with_cause is None or not numbers.is_usable(with_cause["k0_n_per_mm_sd"]):
+        return " as far as the plain model goes"
+    value = numbers.headline(with_cause["k0_n_per_mm"], with_cause["k0_n_per_mm_sd"], "N/mm")
+    return f" without the cause and {value} with it"
+
+
 def _residual_words(fit: Row) -> str:
     if fit["reduced_chi2"] is None:
         return ""
@@ -135,9 +146,9 @@ def lede(standing: Standing) -> Piece:
             " property of the film before."
         )
     if d:
-        return Markup("{} {} model, {}; reduced χ² {}.").format(
+        return Markup("{} {} model, {}{}; reduced χ² {}.").format(
             "The film itself: a" if d["verdict"] == "named" else "A", model_name(fit["model_order"]), _tell_stiffness(fit),
-            significant(fit["reduced_chi2"]),
+            _tell_beside(standing), significant(fit["reduced_chi2"]),
         )  # fmt: skip
     if no_relaxation(fit):
         return (

@@ -322,6 +322,22 @@ def digits(count: int, singular: str, plural: str | None = None) -> str:
     return f"{whole(count)}{NBSP}{singular if count == 1 else plural or singular + 's'}"
 
 
+def among(count: int, total: int, singular: str, plural: str | None = None) -> str:
+    """`3 of 12 recordings`, `all 12 recordings`, `the one recording`: so many of what there is."""
+    if total == 1 and count:
+        return f"the one {singular}"
+    return (
+        f"all {digits(total, singular, plural)}"
+        if count == total
+        else f"{whole(count)} of {digits(total, singular, plural)}"
+    )
+
+
+def every(count: int, singular: str, plural: str | None = None) -> str:
+    """`All 12 recordings`, `The one recording`: as a heading."""
+    return capital(among(count, count, singular, plural))
+
+
 def ordinal(number: int) -> str:
     """`third`."""
     return _ORDINALS[number] if 0 <= number < len(_ORDINALS) else f"{number}th"

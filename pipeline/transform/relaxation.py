@@ -21,6 +21,7 @@ from pipeline.transform.sampling import seconds
 from pipeline.transform.staircase import LaterRamp, find_later_ramps, find_levels
 from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
+from schemas.numbers import digits
 from schemas.recording import Recording
 
 _PER_DECADE = 12
@@ -237,10 +238,12 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
         )
     if ringing.any():
         until = float(window[np.flatnonzero(ringing)[-1], 1])
-        warnings.append(f"{int(ringing.sum())} windows up to {until:.3g} s after the step ring and are not usable")
+        number = int(ringing.sum())
+        verbs = "rings and is" if number == 1 else "ring and are"
+        warnings.append(f"{digits(number, 'window')} up to {until:.3g} s after the step {verbs} not usable")
     if int(curve.usable.sum()) < _FEWEST_WINDOWS:
         raise NotIdentifiableError(
-            f"{int(curve.usable.sum())} windows of the hold are usable, the others ring with the clamp",
+            f"only {int(curve.usable.sum())} of {digits(curve.usable.size, 'window')} of the hold can be used, the others ring with the clamp",
             where=where,
             expected=f"at least {_FEWEST_WINDOWS}",
         )
@@ -252,7 +255,7 @@ def _too_few(step: _Step, count: int, again: bool, where: str) -> NotIdentifiabl
     longest = max(until - end for _, end, until in step.holds)
     return NotIdentifiableError(
         f"{steps} is held for {longest:.3g} s after a ramp of {step.end_s - step.start_s:.3g} s: "
-        f"{count} windows in log time" + (", then the film is moved again" if again else ""),
+        f"{digits(count, 'window')} in log time" + (", then the film is moved again" if again else ""),
         where=where,
         expected=f"at least {_FEWEST_WINDOWS} windows ({_PER_DECADE} per decade, from the end of the ramp on)",
         remedy="Cut the recording into one for each step" if again else "",

@@ -36,6 +36,7 @@ from pipeline.transform.step_levels import (
 )
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
+from schemas.numbers import among
 from schemas.recording import Recording
 
 _STILL_FADING = 0.01
@@ -191,7 +192,9 @@ def measure_steps(recording: Recording) -> StepAnalysis:
         )
     refused = sum(any(_MOVES in warning for warning in step.warnings) for step in steps)
     if refused:
-        warnings.append(f"the force of {refused} of {len(steps)} steps is refused: {_MOVES} beside them")
+        warnings.append(
+            f"the force of {among(refused, len(steps), 'step')} is refused: {_MOVES} beside {'it' if refused == 1 else 'them'}"
+        )
     whole = _recovered(steps, force_change, capacitance_change)
     return StepAnalysis(tuple(whole), force_change, capacitance_change, tuple(warnings))
 
@@ -329,9 +332,7 @@ def _refuse_unchecked(steps: list[StepResponse], phases: Sequence[Edges]) -> lis
     if not moving:
         return steps
     everywhere = 3 * moving >= len(steps)
-    text = (
-        f"{_MOVES} beside {moving} of {len(steps)} steps, and the rests at this one cannot show that it does not here"
-    )
+    text = f"{_MOVES} beside {among(moving, len(steps), 'step')}, and the rests at this one cannot show that it does not here"
     return [
         _without_force(step, text)
         if math.isfinite(step.force_step_n) and (everywhere or not phases[step.cycle - 1].has_fall)

@@ -12,7 +12,7 @@ from reports.names import short
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
-from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, counted, significant, with_unit
+from schemas.numbers import ABSENT, NBSP, among, bounds, capital, compact, digits, significant, with_unit
 
 _SQL = """SELECT quantity, value, value_lower, value_upper, value_lower_90, value_upper_90, unit, voltage_kv, required, meets,
        multiple, multiplied, note
@@ -151,5 +151,9 @@ def of_campaign(draft: Draft) -> Section | None:
     alone = sum(
         bool(by.get((n, "force"), {}).get("meets")) and bool(by.get((n, "stroke"), {}).get("meets")) for n in names
     )
-    where = f"{capital(counted(alone, 'specimen')) if alone else 'No specimen'} of {len(names)} meets the requirement of a tremor alone"
+    if alone:
+        who = f"{capital(among(alone, len(names), 'specimen'))} {'meets' if alone == 1 else 'meet'}"
+    else:
+        who = "The one specimen does not meet" if len(names) == 1 else f"None of {digits(len(names), 'specimen')} meets"
+    where = f"{who} the requirement of a tremor alone"
     return Section("requirement", where, "Requirement", (table,))

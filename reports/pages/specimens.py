@@ -9,7 +9,7 @@ from reports.names import short
 from reports.results import Query
 from reports.site import Site
 from schemas.mechanisms import plain_name
-from schemas.numbers import ABSENT, UNRESOLVED, gained, is_usable, pm, significant
+from schemas.numbers import ABSENT, NBSP, UNRESOLVED, gained, is_usable, pm, significant
 
 _SPECIMEN_SQL = """WITH used AS (
     SELECT specimen_id, min(material) AS material, count(*) AS recordings
@@ -48,8 +48,9 @@ def specimen_table(
             modulus_sd = r["modulus_mpa"] * r["k0_n_per_mm_sd"] / r["k0_n_per_mm"]
         cells: list[Piece] = [
             site.specimen(r["specimen_id"], root), short(r["material"] or ABSENT, 40), str(r["recordings"]),
-            ABSENT if r["model_order"] is None else str(r["model_order"]), _known(r["k0_n_per_mm"], r["k0_n_per_mm_sd"]),
-            _known(r["modulus_mpa"], modulus_sd), significant(r["reduced_chi2"]),
+            ABSENT if r["model_order"] is None else str(r["model_order"]),
+            _known(r["k0_n_per_mm"], r["k0_n_per_mm_sd"], r["verdict"]), _known(r["modulus_mpa"], modulus_sd, r["verdict"]),
+            significant(r["reduced_chi2"]),
         ]  # fmt: skip
         if diagnosed:
             cells += [
@@ -64,15 +65,28 @@ def specimen_table(
     ]  # fmt: skip
     if diagnosed:
         heads += [Head("Verdict"), Head("Cause"), Head("Gain", "n")]
-    below = "± is one standard deviation." + (
-        " Gain: share of the squared held-out error beyond the noise that the extension removes." if diagnosed else ""
-    )
+    below = "± is one standard deviation."
+    if any(r["verdict"] not in _SOUND and is_usable(r["k0_n_per_mm_sd"]) for r in specimens):
+        below += (
+            f" {_PLAIN} Of the plain model, in which the diagnosis finds something wrong: the ± knows nothing of that. With a named"
+            " cause in the model the film stands on the specimen's page."
+        )
+    if diagnosed:
+        below += " Gain: share of the squared held-out error beyond the noise that the extension removes."
     return Table(caption, tuple(heads), tuple(rows), query.shown(), below=below)
 
 
-def _known(value: float | None, sd: float | None) -> str:
-    """Value ± SD; a word for what the recordings do not resolve, such as a parameter at its bound."""
-    return pm(value, sd) if value is None or is_usable(sd) else UNRESOLVED
+_SOUND = (None, "none")
+"""Verdicts that find nothing wrong with the plain model."""
+_PLAIN = "†"
+"""Marks a number of a plain model that a diagnosis finds wanting."""
+
+
+def _known(value: float | None, sd: float | None, verdict: str | None) -> str:
+    """Value ± SD; a word for what the recordings do not resolve, such as a parameter at its bound; marked where the model is not right."""
+    if value is None or not is_usable(sd):
+        return ABSENT if value is None else UNRESOLVED
+    return pm(value, sd) if verdict in _SOUND else f"{pm(value, sd)}{NBSP}{_PLAIN}"
 
 
 def _causes(mechanisms: Sequence[str], verdict: str | None) -> str:

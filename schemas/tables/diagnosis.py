@@ -73,7 +73,7 @@ TABLES: tuple[Table, ...] = (
                 "held_out_error_before", "SD of the noise", "root mean square error of the plain model on held-out data"
             ),
             real("held_out_error_after", "SD of the noise", "the same of the extended model"),
-            *with_bounds("gain", "", "share of the removable held-out error that the extension removes"),
+            *with_bounds("gain", "", "share of the squared held-out error beyond the noise that the extension removes"),
             text("next_recording", "what to measure to tell the remaining causes apart"),
             text("smallest_detectable", "JSON: mechanism, parameter, severity found with 80 % probability"),
             texts("invisible", "mechanisms that these recordings cannot show"),
@@ -112,7 +112,11 @@ TABLES: tuple[Table, ...] = (
             text("parameter", "of the mechanism, whose value severity is"),
             real("severity", "see mechanism", "estimate"),
             real("severity_sd", "see mechanism", "standard deviation"),
-            *with_bounds("gain", "", "share of the removable held-out error; limits where each cause was asked alone"),
+            *with_bounds(
+                "gain",
+                "",
+                "share of the squared held-out error beyond the noise that the cause removes; limits where each cause was asked alone",
+            ),
             real("held_out_error", "", "root mean square error on data that were left out, in units of the noise"),
             real("explained", "", "share of the plain model's misfit that it explains alone"),
             text("form", "form of the mechanism that does best, where it has several"),

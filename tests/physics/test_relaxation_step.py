@@ -8,6 +8,7 @@ import pytest
 from pipeline.transform.relaxation import relaxation_curve
 from pipeline.transform.respond import respond
 from schemas.errors import NotIdentifiableError
+from schemas.recording import Recording
 from tests.physics.rig_truth import recording
 
 SPRINGS, TIMES, K0 = (0.4, 1.0), (2.5, 0.1), 0.4
@@ -79,13 +80,23 @@ def test_a_release_is_a_step_down_with_windows_of_its_own() -> None:
     assert np.abs(error)[curve.time_s > 0.5].max() < 5
 
 
-def test_ringing_windows_are_marked() -> None:
+def ringing(decay_s: float, size_n: float = 0.2) -> Recording:
+    """A step whose clamp rings on after it."""
     time, made = run(0.01)
     since = np.maximum(time - 4.01, 0)
-    ring = np.where(time > 4.01, 0.2 * np.exp(-since / 0.5) * np.cos(2 * np.pi * 52 * since), 0.0)
+    ring = np.where(time > 4.01, size_n * np.exp(-since / decay_s) * np.cos(2 * np.pi * 52 * since), 0.0)
     channels = {q: c.values for q, c in made.channels.items()}
-    made = recording({**channels, "force": channels["force"] + ring}, RATE, protocol="step")
-    curve, warnings = relaxation_curve(made)
+    return recording({**channels, "force": channels["force"] + ring}, RATE, protocol="step")
+
+
+def test_one_window_that_rings_is_no_plural() -> None:
+    curve, warnings = relaxation_curve(ringing(0.03, 0.1))
+    assert (~curve.usable).sum() == 1
+    assert any(w.replace("\xa0", " ").startswith("1 window up to") and "step rings and is" in w for w in warnings)
+
+
+def test_ringing_windows_are_marked() -> None:
+    curve, warnings = relaxation_curve(ringing(0.5))
     assert 3 < (~curve.usable).sum() < curve.usable.size / 2
     assert curve.usable[curve.time_s > 4].all()
     assert any("ring" in w for w in warnings)

@@ -9,6 +9,8 @@ import pytest
 
 from pipeline.fit.relaxation.identify import fit_specimen
 from pipeline.fit.relaxation.results import SpecimenFits
+from pipeline.fit.relaxation.search import _fewer
+from pipeline.physics.film import Shape
 from pipeline.transform.relaxation import relaxation_curve
 from schemas.arrays import Float
 from tests.physics.rig_truth import recording
@@ -83,3 +85,11 @@ def test_an_arm_that_the_ramp_hides_is_told_and_bends_no_other(
             assert found.lower is not None
             assert found.upper is not None
             assert found.lower < truth < found.upper < 1.5 * truth
+
+
+@pytest.mark.parametrize(
+    ("found", "order", "expected"),
+    [(1, 1, ()), (0, 1, ("its one arm is not resolved",)), (0, 3, ("none of 3 arms resolved",)), (1, 2, ("only 1 of 2 arms resolved",))],
+)  # fmt: skip
+def test_arms_that_are_not_resolved_are_counted(found: int, order: int, expected: tuple[str, ...]) -> None:
+    assert _fewer(Shape(found), order) == expected

@@ -339,3 +339,21 @@ def test_stored_sentences_get_their_typography() -> None:
     assert numbers.symbols("k3 between -0.1 and 2; tau1, c2 of run k33 on 2026-03-01") == (
         "k₃ between −0.1 and 2; τ₁, c₂ of run k33 on 2026-03-01"
     )
+
+
+@pytest.mark.parametrize(
+    ("count", "total", "expected"),
+    [
+        (1, 1, "the one step"),
+        (1, 3, "1 of 3 steps"),
+        (3, 3, "all 3 steps"),
+        (0, 1, "0 of 1 step"),
+        (0, 3, "0 of 3 steps"),
+    ],
+)
+def test_shares_of_one_are_no_plural(count: int, total: int, expected: str) -> None:
+    assert plain(numbers.among(count, total, "step")) == expected
+
+
+def test_headings_of_everything_know_when_it_is_one() -> None:
+    assert [plain(numbers.every(n, "recording")) for n in (1, 2)] == ["The one recording", "All 2 recordings"]

@@ -17,7 +17,7 @@ from pipeline.diagnose.search import held_out
 from pipeline.fit.survival import comparisons
 from reports import findings
 from reports.blocks import Figure, Finding, Findings, Fold, Head, Row, Table
-from reports.evidence import Standing
+from reports.evidence import Standing, plain_beyond_noise
 from reports.figures import palette
 from reports.pages import specimens
 from reports.pages.campaign import causes, lives
@@ -27,7 +27,7 @@ from reports.pages.index import page as index
 from reports.pages.index.page import end_in_words, tally
 from reports.pages.index.trouble import reason
 from reports.pages.specimen import diagnosis as diagnosis_page
-from reports.pages.specimen import models, relaxing, shifts
+from reports.pages.specimen import models, permittivity, relaxing, shifts
 from reports.results import Query
 from schemas import explanations, mechanisms
 from schemas.tables import TABLES
@@ -238,7 +238,9 @@ def test_lives_of_one_design_are_told_by_their_law_and_medians() -> None:
 def test_the_cause_of_a_doubtful_specimen_is_not_the_only_one() -> None:
     assert specimens._causes(["slack", "drive_lag"], "ambiguous") == "Slack film + lag of the drive, or others"
     assert specimens._causes(["slack"], "named") == "Slack film"
-    assert specimens._known(1.8e-17, None) == "unresolved"
+    assert specimens._known(1.8e-17, None, "none") == "unresolved"
+    assert plain(specimens._known(0.42, 0.028, "named")) == "0.420 ± 0.028 †"
+    assert plain(specimens._known(0.42, 0.028, None)) == "0.420 ± 0.028"
 
 
 def test_smallest_effects_stand_open_only_where_they_are_the_evidence() -> None:
@@ -539,3 +541,37 @@ def test_a_night_with_nothing_new_still_tells_of_what_stands_refused() -> None:
     assert plain(end_in_words(run)) == "done, 1 refused"
     assert plain(end_in_words(run | {"damaged": 2, "failed": 1})) == "done, 1 refused, 2 damaged and 1 analysis failed"
     assert plain(end_in_words(run | {"quarantined": 0})) == "all done"
+
+
+def with_stiffness(verdict: str, extension: dict[str, object] | None) -> str:
+    fit = dict.fromkeys(TABLES["model_fits"].names) | {
+        "model_order": 3, "k0_n_per_mm": 0.42, "k0_n_per_mm_sd": 0.028, "reduced_chi2": 1.0,
+    }  # fmt: skip
+    d = diagnosis(verdict, mechanisms=["amplitude_softening"] if verdict == "named" else [])
+    return plain(cast(Markup, findings.lede(Standing("P-07", None, None, fit, d, extension=extension))).striptags())
+
+
+def test_a_stiffness_of_a_model_that_is_not_right_does_not_stand_alone() -> None:
+    with_cause: dict[str, object] = {"k0_n_per_mm": 0.46, "k0_n_per_mm_sd": 0.003}
+    assert "0.420 ± 0.028 N/mm without the cause and 0.460 ± 0.003 N/mm with it;" in with_stiffness("named", with_cause)
+    assert "0.420 ± 0.028 N/mm as far as the plain model goes;" in with_stiffness("unknown", None)
+    assert "0.420 ± 0.028 N/mm; reduced" in with_stiffness("none", None)
+
+
+@pytest.mark.parametrize(("chi2", "expected"), [(150.0, False), (260.0, True), (None, False)])
+def test_only_a_plain_model_beyond_the_noise_has_no_uncertainty(chi2: float | None, expected: bool) -> None:
+    assert plain_beyond_noise(diagnosis("named", chi2=chi2, feature_count=156)) == expected
+
+
+def permittivities(*rows: tuple[float | None, float, float]) -> list[dict[str, object]]:
+    return [
+        {"method": "sphs", "voltage_kv": at, "relative_permittivity_lower": low, "relative_permittivity_upper": high}
+        for at, low, high in rows
+    ]
+
+
+def test_a_permittivity_of_all_sequences_that_is_not_that_of_one_voltage_is_said() -> None:
+    said = plain(permittivity._tell_apart(permittivities((None, 4.71, 4.73), (5.0, 4.75, 4.78), (7.0, 4.72, 4.74))))
+    assert said.startswith(" At 5 kV the permittivity is not that of the one fit")
+    assert permittivity._tell_apart(permittivities((None, 4.71, 4.73), (7.0, 4.72, 4.74))) == ""
+    assert permittivity._tell_apart(permittivities((5.0, 4.75, 4.78), (7.0, 4.72, 4.74))) == ""

@@ -18,7 +18,7 @@ from pipeline.fit.force.points import ForcePoint, force_points
 from pipeline.fit.survival.kaplan_meier import LEVEL, UNKNOWN, Estimate
 from pipeline.transform.force_map import ForceMapReadings
 from schemas.arrays import Float
-from schemas.numbers import bounds, p_equals, significant
+from schemas.numbers import bounds, digits, p_equals, significant
 
 _ALARM = 0.05
 
@@ -231,9 +231,9 @@ def _statement(
     points: Sequence[ForcePoint], estimate: Estimate, constancy: Constancy | None, stated: float | None
 ) -> str:
     if estimate.lower > 0:
-        text = f"relative permittivity {_interval(estimate)} over {len(points)} points"
+        text = f"relative permittivity {_interval(estimate)} over {digits(len(points), 'point')}"
     else:
-        text = f"{len(points)} points, too far apart for one relative permittivity"
+        text = f"{digits(len(points), 'point')}, too far apart for one relative permittivity"
     if constancy is not None:
         proofs = []
         if not math.isnan(constancy.p_value):

@@ -111,8 +111,9 @@ class Search:
 def _fewer(shape: Shape, order: int) -> tuple[str, ...]:
     if shape.order >= order:
         return ()
-    arms = {0: "no arm", 1: "1 arm"}.get(shape.order, f"{shape.order} arms")
-    return (f"only {arms} of {order} resolved",)
+    if shape.order == 0:
+        return (f"none of {order} arms resolved" if order > 1 else "its one arm is not resolved",)
+    return (f"only {shape.order} of {order} arms resolved",)
 
 
 def tidy(

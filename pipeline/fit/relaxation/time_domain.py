@@ -23,7 +23,7 @@ from pipeline.physics.hyperelastic import LAWS, LINEAR, NON_AFFINE, Law
 from pipeline.physics.least_squares import differ_at_once
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
-from schemas.numbers import counted
+from schemas.numbers import counted, digits
 
 HELD_OUT = 0.3
 """Share of the cycle, at its end, that is left out to judge a branch."""
@@ -353,7 +353,7 @@ class _Cycle:
         both = [float(np.sqrt(max(c[i, i] + c[n + i, n + i] + 2 * c[i, n + i], 0.0))) for i in range(n)]
         warnings = []
         if n < order:
-            warnings.append(f"only {n} branches of {order} resolved")
+            warnings.append(f"only {n} of {digits(order, 'branch', 'branches')} resolved")
         for i in range(n):
             if max(sd[i], sd[n + i]) > RESOLVED:
                 warnings.append(

@@ -25,6 +25,7 @@ from pipeline.physics.compliance import Compliance, integral
 from pipeline.physics.film import integrate_arms
 from pipeline.transform.holds import HeldRecord
 from schemas.arrays import Float
+from schemas.numbers import digits
 
 ORDERS = (1, 2, 3)
 MOST = 5
@@ -277,7 +278,7 @@ class _Problem:
         found = Compliance(float(solution[nuisance]), tuple(retarded.tolist()), tuple(times.tolist()), flow)
         warnings = []
         if times.size + (candidate.c > 0) < order:
-            warnings.append(f"only {times.size + (candidate.c > 0)} of {order} retardations resolved")
+            warnings.append(f"only {times.size + (candidate.c > 0)} of {digits(order, 'retardation')} resolved")
         parameters = np.concatenate([solution, candidate.log_tau[used]])
         return RetardationFit(
             order, found, parameters, covariance, nuisance, self.drifts, chi2, freedom, p_value, tuple(warnings)

@@ -26,7 +26,7 @@ from schemas.arrays import Float
 from schemas.errors import DealabError, NotIdentifiableError, RefusedError
 from schemas.life_covariates import ARRHENIUS, CATEGORY, EXPONENTIAL_LAW, INVERSE_POWER
 from schemas.lifetimes import LifetimeRow
-from schemas.numbers import compact, joined, with_unit
+from schemas.numbers import compact, digits, joined, with_unit
 
 NO_FAMILY = "none"
 _STRESSES = (
@@ -220,7 +220,9 @@ class _Campaign:
         without = [row for row in self.rows if row.condition(name) is None]
         if without:
             self.rows = [row for row in self.rows if row.condition(name) is not None]
-            self.refused.append(f"{len(without)} lives have no {name}: left out of the regression")
+            self.refused.append(
+                f"{digits(len(without), 'life has', 'lives have')} no {name}: left out of the regression"
+            )
 
     def _informative(self, varied: Sequence[str], failed: np.ndarray, distinct: int) -> list[Covariate]:
         """The covariates that the lives tell something about; the reasons of the others are kept."""

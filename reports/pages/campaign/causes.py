@@ -15,7 +15,7 @@ from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
 from schemas.arrays import Float
-from schemas.numbers import NBSP, bounds, compact, percent
+from schemas.numbers import NBSP, bounds, capital, compact, digits, percent
 
 _COURSE_SQL = """SELECT configuration, voltage_kv, failure_site, time_s, failures, probability, lower_95, upper_95
 FROM failure_causes
@@ -60,7 +60,11 @@ def incidence(
         f"{name}: " + ", ".join(f"{one.cause} {percent(float(one.probability[-1]))}" for one in causes)
         for name, causes in drawn
     )
-    left = f" The {len(several) - len(shown)} other groups are in the table below." if len(several) > len(shown) else ""
+    left = (
+        f" {capital(digits(len(several) - len(shown), 'other group is', 'other groups are'))} in the table below."
+        if len(several) > len(shown)
+        else ""
+    )
     return Figure(
         draw_incidence(drawn, time_title, alt=f"Cumulative incidence by cause. {ends}."),
         flow(

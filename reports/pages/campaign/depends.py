@@ -18,17 +18,7 @@ from reports.results import Query
 from reports.results import Row as Record
 from reports.words import remark
 from schemas.arrays import Bool, Float
-from schemas.numbers import (
-    ABSENT,
-    bounds,
-    capital,
-    compact,
-    digits,
-    joined,
-    p_equals,
-    p_value,
-    significant,
-)
+from schemas.numbers import ABSENT, bounds, capital, compact, digits, every, joined, p_equals, p_value, significant
 
 _SQL = {
     "regressions": """SELECT family, stress_law, chosen, specimens, failures, sigma, sigma_lower, sigma_upper, shape, shape_lower,
@@ -131,7 +121,12 @@ def section(draft: Draft, unit: tuple[float, str]) -> Section | None:
         blocks.append(_mode_table(found))
     families = found.rows["regressions"]
     if len(families) > 1:
-        blocks.append(Fold(f"All {digits(len(families), 'regression')} that were tried", (_family_table(found),)))
+        blocks.append(
+            Fold(
+                f"{every(len(families), 'regression')} that {'was' if len(families) == 1 else 'were'} tried",
+                (_family_table(found),),
+            )
+        )
     return Section("depends", _heading(found), "What lives depend on", tuple(blocks))
 
 

@@ -29,7 +29,7 @@ from schemas.numbers import (
     NBSP,
     capital,
     compact,
-    digits,
+    every,
     joined,
     p_equals,
     p_value,
@@ -449,7 +449,7 @@ def _comparisons(lives: Lives) -> list[Block | Fold]:
     blocks: list[Block | Fold] = [_comparison_table(lives, main, these, caption, below)]
     if len(main) < len(lives.comparisons):
         everything = _comparison_table(lives, lives.comparisons, everyone, "All comparisons of the groups", _SIGNS)
-        blocks.append(Fold(f"All {digits(len(lives.comparisons), 'comparison')}, by other tests, too", (everything,)))
+        blocks.append(Fold(f"{every(len(lives.comparisons), 'comparison')}, by other tests, too", (everything,)))
     return blocks
 
 
@@ -476,4 +476,4 @@ def table(draft: Draft, lives: Lives) -> Fold | None:
         return None
     rows = lives.lifetimes
     shown = listing.lifetimes(draft.site, rows, lives.queries["lifetimes"], "Lifetimes", unit=lives.unit)
-    return Fold(f"All {digits(len(rows), 'lifetime')}", (shown,))
+    return Fold(every(len(rows), "lifetime"), (shown,))

@@ -17,7 +17,7 @@ from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
 from schemas.lifetimes import OUTSIDE_THE_FILM
-from schemas.numbers import ABSENT, bounds, percent, significant
+from schemas.numbers import ABSENT, among, bounds, capital, percent, significant
 
 _REGIONS_SQL = """SELECT configuration, region, predicted_share, predicted_share_lower, predicted_share_upper, observed_share,
        observed_share_lower, observed_share_upper, failures, unknown_site, other_failures
@@ -244,4 +244,5 @@ def _where_heading(known: Sequence[Record]) -> str:
     place = {"rod": "at a rod", "lead": "at the lead", "active": "in the active region", "edge": "at the edge"}.get(
         common, f"at: {visible(common)}"
     )
-    return f"{sites.count(common)} of {len(sites)} failures lie {place}"
+    number = sites.count(common)
+    return f"{capital(among(number, len(sites), 'failure'))} {'lies' if number == 1 else 'lie'} {place}"

@@ -8,7 +8,7 @@ from reports.pages.index import trouble
 from reports.results import Query, days
 from reports.site import RECORDINGS, Site
 from reports.words import plain, protocol
-from schemas.numbers import ABSENT, capital, digits, joined
+from schemas.numbers import ABSENT, capital, digits, every, joined
 
 CAMPAIGNS_SHOWN = 40
 
@@ -33,7 +33,7 @@ def section(site: Site) -> Section | None:
     query = Query(_CAME_IN_SQL)
     found = site.results.rows(_FIRST_SQL)
     total = sum(r["recordings"] for r in found)
-    everything: Piece = link(f"All {digits(site.recordings, 'recording')} in the lab", RECORDINGS)
+    everything: Piece = link(f"{every(site.recordings, 'recording')} in the lab", RECORDINGS)
     if not found:
         return Section(
             "in",

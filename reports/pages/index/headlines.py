@@ -80,7 +80,7 @@ def section(
     if len(alone) > _ALARMED:
         items.append(
             Finding(
-                f"{len(alone) - _ALARMED} more specimens need a look",
+                f"{digits(len(alone) - _ALARMED, 'more specimen needs', 'more specimens need')} a look",
                 (flow("They stand first in the ", link("list of specimens", SPECIMENS), "."),),
                 "open",
             )

@@ -12,7 +12,7 @@ from reports.names import short, visible
 from reports.pages.draft import Draft
 from reports.results import Query, tell_warnings, write_bounds
 from reports.results import Row as Record
-from schemas.numbers import ABSENT, NBSP, compact, percent, pm, significant, with_unit
+from schemas.numbers import ABSENT, compact, digits, percent, pm, significant, with_unit
 
 _TESTS_SQL = """SELECT t.*
 FROM creep_tests AS t JOIN recordings AS r USING (recording_id)
@@ -82,7 +82,7 @@ def _draw(draft: Draft, row: Record) -> list[Block]:
     alt = f"Displacement of {short(recording, 60)} after each change of the load; the model is off by {misses}, root mean square."
     caption = flow(
         bold(draft.site.recording(recording)),
-        f": means over windows of time after each change of the load; line: {row['model_order']}{NBSP}retardation times, off by {misses} (root mean square).",
+        f": means over windows of time after each change of the load; line: {digits(row['model_order'], 'retardation time')}, off by {misses} (root mean square).",
     )
     return [Figure(creep(tuple(curves), alt=alt), caption, draft.data(f"creep_{recording}", data))]
 

@@ -29,7 +29,7 @@ from reports.blocks import (
     flow,
     sub,
 )
-from reports.evidence import Standing
+from reports.evidence import Standing, plain_beyond_noise
 from reports.features import COLUMNS, kind_of
 from reports.figures import diagnosis as figures
 from reports.findings import LISTED_CAUSES, evidence, gain, what_is_wrong, what_next
@@ -330,7 +330,7 @@ def _candidates(draft: Draft, d: Record) -> list[Block]:
         Head("Cause"), Head("Probability", "n"), Head("Fall of χ²", "n"),
         Head("Share of the misfit explained", "barcell"), Head("Severity"),
     )  # fmt: skip
-    note = f"the {len(found)} of {LISTED_CAUSES} that were fitted"
+    note = f"the {len(found)} of {LISTED_CAUSES} that {'was' if len(found) == 1 else 'were'} fitted"
     below = (
         "Probability: of this cause alone, among all explanations. Fall of χ²: in the search, under weights that allow every form a"
         " share of what is missed; it does not decide."
@@ -431,11 +431,13 @@ def _film(draft: Draft, standing: Standing, d: Record) -> list[Block]:
     found = draft.results.rows(query)
     if not found or d["verdict"] == "none":
         return []
+    wrong = plain_beyond_noise(d)
     rows = tuple(
         Row(
             (
-                _symbol(r["parameter"]), r["unit"], _or_absent(r["plain"], r["plain_sd"]),
-                _or_absent(r["extended"], r["extended_sd"]), significant(r["moved_sd"], 2),
+                _symbol(r["parameter"]), r["unit"],
+                significant(r["plain"]) if wrong else never_negative(r["plain"], r["plain_sd"]),
+                never_negative(r["extended"], r["extended_sd"]), significant(r["moved_sd"], 2),
             )
         )
         for r in found
@@ -446,6 +448,11 @@ def _film(draft: Draft, standing: Standing, d: Record) -> list[Block]:
         "Plain: fitted without the cause to all that the diagnosis simulates, mean forces, harmonics and rests too. The model that"
         " is fitted to the responses alone is another one; its parameters stand above."
     )
+    if wrong:
+        below += (
+            f" The plain one has no ±: it misses by {significant((d['chi2'] / d['feature_count']) ** 0.5, 2)} times the noise, and a ± would hold for"
+            " noise alone. Extended: what that model does not describe counts for less in its ±."
+        )
     table = Table("The film in the plain and in the extended model", heads, rows, query.shown(), note, below, "narrow")
     return [table]
 
@@ -455,11 +462,6 @@ def _symbol(parameter: str) -> Piece:
     symbol = {"tau": "τ", "c_inf": "c"}.get(name, name)
     index = parameter.removeprefix(name) if name != "c_inf" else "∞"
     return sub(symbol, index)
-
-
-def _or_absent(value: float | None, sd: float | None) -> str:
-    """Value ± SD; where the SD is as large as the value, its upper limit: a ± would be false."""
-    return never_negative(value, sd)
 
 
 def _visible(draft: Draft, d: Record) -> list[Block | Fold]:

@@ -16,7 +16,7 @@ from reports.names import short, visible
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
-from schemas.numbers import ABSENT, compact, percent, pm, significant, with_unit
+from schemas.numbers import ABSENT, compact, digits, percent, pm, significant, with_unit
 
 _MOST = 6
 """Recordings drawn at most; the rest stand in the data file."""
@@ -60,7 +60,7 @@ def response(
         Figure(
             figures.response(
                 drives, grid, curve,
-                alt=f"Force per voltage squared of {short(draft.item, 40)} in {len(raw)} recordings. {words}",
+                alt=f"Force per voltage squared of {short(draft.item, 40)} in {digits(len(raw), 'recording')}. {words}",
             ),
             flow(bold("Force under voltage."), " ", words or "No mechanical model predicts it.",
                  f" Line: the mechanical model behind clamp and load cell, F/V² {origin}." if curve is not None else ""),

@@ -46,7 +46,9 @@ def blocks(draft: Draft, d: Record) -> list[Block]:
         " counts among them."
     )
     query = Query(_SQL, {"specimen": draft.item})
-    note = f"{len(rows)} of {len(known)} that were compared hold {probability(total)}"
+    note = (
+        f"{len(rows)} of {len(known)} that were compared {'holds' if len(rows) == 1 else 'hold'} {probability(total)}"
+    )
     return [
         Heading("Why: the causes, ranked"),
         Table("What may be behind it", heads, tuple(rows), query.shown(), note, below),

@@ -25,6 +25,7 @@ from schemas.numbers import (
     NBSP,
     capital,
     compact,
+    digits,
     headline,
     is_usable,
     never_negative,
@@ -75,7 +76,7 @@ def order(draft: Draft, fits: Sequence[Record], chosen: Record) -> Section:
     if chosen["magnitude_error_n_per_mm"] is not None:
         below = (
             "Errors: mean absolute difference of magnitude and of phase (thesis, eq 4.14) over the usable ones of"
-            f" {whole(chosen['frequency_lines'])} lines from {compact(chosen['frequency_low_hz'])} to"
+            f" {digits(chosen['frequency_lines'], 'line')} from {compact(chosen['frequency_low_hz'])} to"
             f" {compact(chosen['frequency_high_hz'])}{NBSP}Hz; they depend on that grid. {below}"
         )
     below = " ".join(filter(None, (_rules(chosen), _tell_next(fits, chosen), below)))
@@ -320,7 +321,7 @@ def _parameter_note(chosen: Record, after: Record | None, moved: shifts.Shifts, 
             flow(
                 " Extended by ", code(after["extension"]), f": {shifts.tell(moved)}. The fitted model rests on the responses alone; the plain model of the"
                 " diagnosis is another fit, to all that it simulates (mean forces, harmonics and rests too), and its parameters"
-                " stand there.",
+                " stand there. In its own ± what the extended model does not describe counts for less.",
             )
         )  # fmt: skip
     if chosen["modulus_mpa"]:
