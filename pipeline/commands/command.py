@@ -1,4 +1,4 @@
-"""What a command of the command line is, the arguments that several have, and progress for whoever is watching.
+"""What a command of the command line is, the arguments that several have, and progress of long ones.
 
 Imports little on purpose, as every file of a command does: `dealab --help` is to come at once.
 """
@@ -8,8 +8,10 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeAlias
 
 from pipeline.lab.lab import DEFAULT_LAB
 
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 DONE, FAILED, ATTENTION = 0, 1, 3
 """Exit statuses: all done; could not do it; done, but some recordings were refused, are damaged or failed."""
 
+PROGRESS_S = 20.0
+"""From one line of progress to the next where nobody watches: a short night has none, a long one few."""
 _LONGEST_NAME = 40
 """Letters of a name beside a bar."""
 
@@ -107,9 +111,44 @@ def count_processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def track(items: Iterable[Any], count: int, what: str) -> Iterable[Any]:
-    """The tasks and their outcomes, with progress on stderr where somebody watches: how many, and the last."""
-    return items if count == 0 or not sys.stderr.isatty() else _watch(items, count, what)
+class Progress:
+    """Progress on stderr: a bar where somebody watches, else a line every `PROGRESS_S` as long as it lasts."""
+
+    def __init__(self) -> None:
+        self._is_watched = sys.stderr.isatty()
+        self._began = time.monotonic()
+        self._step = "begins"
+        self._ended = threading.Event()
+        self._teller = threading.Thread(target=self._tell, daemon=True)
+
+    def __enter__(self) -> Self:
+        if not self._is_watched:
+            self._teller.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        if self._teller.is_alive():
+            self._teller.join()
+
+    def track(self, items: Iterable[Any], count: int, what: str) -> Iterable[Any]:
+        """The tasks and their outcomes, while it is told how many are done; a step without tasks is only named."""
+        if count == 0:
+            self._step = what
+            return items
+        return _watch(items, count, what) if self._is_watched else self._count(items, count, what)
+
+    def _count(self, items: Iterable[Any], count: int, what: str) -> Iterator[Any]:
+        from schemas.visible import shown
+
+        self._step = f"{what}: 0 of {count}"
+        for done, (task, outcome) in enumerate(items, start=1):
+            self._step = f"{what}: {done} of {count}, last {shown(task.name)[:_LONGEST_NAME]}"
+            yield task, outcome
+
+    def _tell(self) -> None:
+        while not self._ended.wait(PROGRESS_S):
+            print(f"dealab: after {time.monotonic() - self._began:.0f} s: {self._step}", file=sys.stderr, flush=True)
 
 
 def _watch(items: Iterable[Any], count: int, what: str) -> Iterator[Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 
-from pipeline.commands.command import CLUSTER, LAB, RAW, RIGS, Command, argument, count_processors, parse_jobs, track
+from pipeline.commands.command import CLUSTER, LAB, RAW, RIGS, Command, Progress, argument, count_processors, parse_jobs
 from pipeline.lab.lab import Lab
 
 
@@ -16,9 +16,15 @@ def run(arguments: Namespace) -> int:
 
     lab = Lab(arguments.lab)
     try:
-        summary = nightly(
-            arguments.raw, lab, jobs=arguments.jobs, rigs=arguments.rigs, cluster=arguments.cluster, track=track
-        )
+        with Progress() as progress:
+            summary = nightly(
+                arguments.raw,
+                lab,
+                jobs=arguments.jobs,
+                rigs=arguments.rigs,
+                cluster=arguments.cluster,
+                track=progress.track,
+            )
     except NothingFoundError as nothing:
         for line in nothing.lines:
             print(make_safe(line), file=sys.stderr)

@@ -133,7 +133,8 @@ def nightly(
     jobs : number of worker processes; 0 does everything in this process
     rigs : folder with rig files, None to look beside the recordings
     cluster : address of a dask scheduler whose workers are used instead; they have to see the same folders
-    track : shows progress
+    track : shows progress: passes on the tasks with their outcomes, given how many there are and what they are; 0 of a
+        step that has no tasks
 
     Raises
     ------
@@ -148,6 +149,7 @@ def nightly(
     with end_when_told(), hold_lab(lab):
         clock = time.monotonic()
         with _prepare(raw, lab, jobs, rigs, cluster, track) as night:
+            night.workers.announce("files")
             found = look_at_files(
                 raw, lab, night.ledger, run_id=night.run_id, deadline_s=night.settings.deadline_s, rigs=rigs
             )
@@ -160,9 +162,11 @@ def nightly(
             include_recordings(night, out)
             derive_results(night)
             night.workers.load(_REPORTS)
+            night.workers.announce("database")
             write_rows(night.ledger, found.roots, out)
             publish_night(night, found)
             reports.join()
+            night.workers.announce("pages")
             problem = _write_report(night)
             discard_work(night)
             return _summarise(night, found, time.monotonic() - clock, problem)

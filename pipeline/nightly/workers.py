@@ -136,6 +136,10 @@ class Workers:
         results: Iterable[Any] = run_all(tasks, perform, self._pool, jobs=self.jobs)
         yield from self._track(results, count, what)
 
+    def announce(self, what: str) -> None:
+        """Names a step of the night that has no tasks, for whoever follows its progress."""
+        self._track((), 0, what)
+
     def load(self, module: str) -> None:
         """Lets the workers load a module, while whoever called goes on."""
         self._pool.load(module)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ import pytest
 import pipeline.nightly.night
 from pipeline import Lab
 from pipeline.cli import COMMANDS, main
+from pipeline.commands import command
 from tests.conftest import ROOT
 from tests.helpers.small_lab import life
 
@@ -263,6 +265,28 @@ def test_progress_names_what_came_last(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(sys, "stderr", terminal)
     assert main(["nightly", str(raw), "--lab", str(tmp_path / "lab"), "--jobs", "0"]) in (0, 3)
     assert "first-life.mcap" in terminal.getvalue()
+
+
+def test_a_night_that_nobody_watches_says_what_it_is_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A night whose output goes to a file said nothing for minutes."""
+    (tmp_path / "raw").mkdir()
+    for number in range(3):
+        life(tmp_path / "raw" / f"L-{number}.mcap", number)
+    night = ["nightly", str(tmp_path / "raw"), "--jobs", "0", "--lab"]
+    assert main([*night, str(tmp_path / "quick")]) == 0
+    quick = capsys.readouterr()
+    assert "dealab: after" not in quick.err, "a short night is not worth a line"
+    monkeypatch.setattr(command, "PROGRESS_S", 0.01)
+    assert main([*night, str(tmp_path / "slow")]) == 0
+    slow = capsys.readouterr()
+    told = [line for line in slow.err.splitlines() if line.startswith("dealab: after ")]
+    steps = [line.split(" s: ")[1] for line in told]
+    assert any(re.fullmatch(r"recordings: \d of 3(, last L-\d\.mcap)?", step) for step in steps), told
+    assert {"database", "pages"} & set(steps)
+    assert [line.split()[0] for line in slow.out.splitlines()] == [line.split()[0] for line in quick.out.splitlines()]
+    assert "dealab: after" not in slow.out
 
 
 @pytest.mark.parametrize(
