@@ -75,9 +75,13 @@ def shown(readme: Path) -> str:
         return show(follow(readme, Path(folder), of_the_checkout(readme.parent)))
 
 
+def without_times(said: str) -> str:
+    """What a night said, without its progress and the time that it took, which are those of this machine."""
+    steady = re.sub(r"^dealab: after [0-9]+ s: .*\n", "", said, flags=re.MULTILINE)
+    return re.sub(r"[0-9.]+ s[.]$", "… s.", steady, flags=re.MULTILINE)
+
+
 def show(done: Sequence[Done]) -> str:
     """The last commands and what they said, without the time that a night took."""
-    blocks = [
-        f"$ {one.command}\n{re.sub(r'[0-9.]+ s[.]$', '… s.', one.said, flags=re.M).rstrip()}" for one in done[-_SHOWN:]
-    ]
+    blocks = [f"$ {one.command}\n{without_times(one.said).rstrip()}" for one in done[-_SHOWN:]]
     return "```text\n" + "\n".join(blocks) + "\n```"

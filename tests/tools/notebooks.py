@@ -19,13 +19,14 @@ from typing import Any
 import nbformat
 from nbclient import NotebookClient
 
+from tests.tools.first_file import without_times
+
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "reports" / "notebooks"
 _LONGEST_S = 300
 """Of a cell, on a machine that does much else."""
 _WIDTH = "110"
 """Columns of a terminal that commands are to write for."""
-_SECONDS = re.compile(r"[0-9.]+ s\.$", re.MULTILINE)
 _WORD = re.compile(r"[+−-]?\d+(?:[.,]\d+)*|[^\s\d]+")
 _KEPT = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}, "language_info": {"name": "python"}}  # fmt: skip
 
@@ -62,7 +63,9 @@ def execute(path: Path) -> Any:
             if "metadata" in output:
                 output.metadata = nbformat.from_dict({})
             if output.output_type == "stream":
-                output.text = _SECONDS.sub("… s.", output.text)
+                output.text = without_times(output.text)
+        if "outputs" in cell:
+            cell.outputs = [one for one in cell.outputs if one.get("text") != ""]  # of progress alone nothing is left
     return notebook
 
 
