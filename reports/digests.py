@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from reports.results import Results
+from schemas.mechanisms import FOREIGN
 from schemas.tables import TABLES, Table
 
 
@@ -50,7 +51,8 @@ _SUMMED = "SELECT item, concat(sum(part), ':', count(*)) AS digest FROM"
 def _by_item() -> str:
     """The query for the digest of every recording, specimen and campaign.
 
-    A specimen's holds those of its recordings and the outcome of its analyses, a campaign's those of its specimens.
+    A specimen's holds those of its recordings and the outcome of its analyses, and with a foreign recording the responses of all, whose it
+    may be; a campaign's those of its specimens.
     """
     return f"""WITH recording AS MATERIALIZED (
 {_SUMMED} ({_hashed(_by_recording(), "recording_id")}) GROUP BY item
@@ -58,6 +60,9 @@ def _by_item() -> str:
 {_SUMMED} ({_hashed(_by_specimen(), "specimen_id")}
 UNION ALL SELECT substr(item_id, instr(item_id, ':') + 1), hash('items', item_id, outcome, error, run_id)
     FROM items WHERE stage IN ('specimen', 'diagnosis')
+UNION ALL SELECT specimen_id, hash('others', others.digest)
+    FROM (SELECT DISTINCT specimen_id FROM corrections WHERE cause = '{FOREIGN}')
+    CROSS JOIN (SELECT sum(hash(t)) AS digest FROM frequency_responses AS t WHERE loading = 'mechanical') AS others
 UNION ALL SELECT specimen_id, hash('recording', recording_id, digest)
     FROM (SELECT DISTINCT specimen_id, recording_id FROM recordings WHERE specimen_id IS NOT NULL)
     LEFT JOIN recording ON item = recording_id

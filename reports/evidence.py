@@ -128,6 +128,8 @@ class Standing:
     """The batch of film, or of specimens, that the recordings name."""
     taps: bool = False
     """Taps of the clamp are among the recordings that the diagnosis rests on: they tell mass and stiffness without a film."""
+    owner: str = ""
+    """Whose the foreign recordings among them may be, in a sentence; empty where there are none, or no specimen is like them."""
     extension: Row | None = None
     """The fit with the causes in it that the diagnosis found."""
     negative: str = ""

@@ -26,6 +26,7 @@ from schemas.explanations import (
     tell_no_gain,
 )
 from schemas.mechanisms import (
+    FOREIGN,
     MECHANISMS,
     RECORD,
     RIG,
@@ -224,7 +225,8 @@ def what_next(standing: Standing) -> Next | None:
             mechanisms.remove(RIG)
             return Next("What to do", " ".join([*written, *list_actions(mechanisms)]))
         actions = list_actions(mechanisms)
-        return Next("What to do", " ".join([*actions, *written])) if actions else None
+        whose = [standing.owner] if FOREIGN in mechanisms and standing.owner else []
+        return Next("What to do", " ".join([*actions, *whose, *written])) if actions else None
     if not diagnosis["next_recording"]:
         return None
     text = capital(name_causes(str(diagnosis["next_recording"])))

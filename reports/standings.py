@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from reports.evidence import Standing, choice, extended, less_than_noise, told, unasked
 from reports.ledger import batches
 from reports.names import short
+from reports.owners import find_owners
 from reports.results import Query, Results, Row, literal
 from reports.site import flat_metadata, stated_rig
 from schemas.places import SIGN
@@ -95,7 +96,7 @@ def _of(results: Results, recordings: Sequence[Row], where: Query) -> list[Stand
         fits.setdefault(fit["specimen_id"], []).append(fit)
     made = results.rows(Query(f"SELECT * FROM diagnoses WHERE {where.sql} ORDER BY specimen_id", where.parameters))
     diagnoses = {d["specimen_id"]: d for d in made}
-    negative, tapped = find_negative(results, where), find_tapped(results, where)
+    negative, tapped, owners = find_negative(results, where), find_tapped(results, where), find_owners(results, where)
     return [
         stand(
             specimen,
@@ -104,13 +105,21 @@ def _of(results: Results, recordings: Sequence[Row], where: Query) -> list[Stand
             diagnoses.get(specimen),
             negative=negative.get(specimen, ""),
             taps=specimen in tapped,
+            owner=owners.get(specimen, ""),
         )
         for specimen, records in sorted(theirs.items())
     ]
 
 
 def stand(
-    specimen: str, recordings: Sequence[Row], fits: Sequence[Row], diagnosis: Row | None, *, negative: str, taps: bool
+    specimen: str,
+    recordings: Sequence[Row],
+    fits: Sequence[Row],
+    diagnosis: Row | None,
+    *,
+    negative: str,
+    taps: bool,
+    owner: str,
 ) -> Standing:
     """How a specimen stands.
 
@@ -122,6 +131,7 @@ def stand(
     diagnosis : its row of `diagnoses`, if it has one
     negative : what came out negative that no film has
     taps : whether taps of the clamp are among what its diagnosis rests on
+    owner : whose its foreign recordings may be
     """
     last = recordings[-1] if recordings else None
     fit = choice(fits)
@@ -135,6 +145,7 @@ def stand(
         unasked(diagnosis),
         batch=_batch(last) if last else "",
         taps=taps,
+        owner=owner,
         extension=extended(fits, fit) if fit else None,
         negative=negative,
     )

@@ -15,6 +15,8 @@ from schemas.numbers import ABSENT, NBSP, UNRESOLVED, is_usable, ordinal, percen
 
 RIG = "rig_constants"
 """The cause whose severity is of constants in the rig's file."""
+FOREIGN = "foreign_recording"
+"""The fault of a recording that is that of another specimen."""
 FILM, RECORD = "film", "record"
 """The stages of what the film does, and of what is wrong with recordings and their metadata."""
 

@@ -10,6 +10,7 @@ from reports.blocks import Link, Page, Piece, Section, Text, flow, name, separat
 from reports.evidence import Standing, measured
 from reports.figures.curves import Rig, rig
 from reports.names import short
+from reports.owners import find_owners
 from reports.pages import assumed, listing, requirement
 from reports.pages.draft import Draft
 from reports.pages.found import limits as find_limits
@@ -77,6 +78,7 @@ def page(site: Site, specimen: str) -> Page:
         row,
         negative=find_negative(results, own).get(specimen, ""),
         taps=specimen in find_tapped(results, own),
+        owner=find_owners(results, own).get(specimen, ""),
     )
     failed = results.rows(
         Query(
