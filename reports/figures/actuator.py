@@ -36,7 +36,7 @@ def force_stroke(lines: Sequence[Line], *, alt: str) -> Drawing:
     for i, one in enumerate(lines):
         drawn = group(i)
         panel.band(one.stroke, one.lower, one.upper, drawn.colour)
-        panel.curve(one.stroke, one.force, drawn.colour)
+        panel.curve(one.stroke, one.force, drawn.colour, dash=drawn.dash)
         middle = [one.stroke[-1] / 2], [one.force[0] / 2]
         panel.dots(*middle, drawn.colour, 5.0, marker=drawn.marker)
         names.append(

@@ -48,7 +48,7 @@ def controllers(courses: Sequence[Course], demand_pf: float, *, alt: str) -> Dra
             if quantity != "voltage":
                 low, high = getattr(one, f"{quantity}_limits")
                 panel.band(one.time, low, high, drawn.colour)
-            panel.curve(one.time, value, drawn.colour, 1.7)
+            panel.curve(one.time, value, drawn.colour, 1.7, dash=drawn.dash)
             early = int(np.searchsorted(one.time, 0.06 * 2.2**j))
             panel.dots(one.time[early:][:1], value[early:][:1], drawn.colour, 5.5, marker=drawn.marker)
             if quantity == "voltage":

@@ -67,7 +67,7 @@ def overlay(items: Sequence[Overlaid], *, alt: str) -> Drawing:
             drawn = group(i)
             for line, curve in item.members:
                 if len(item.members) > 1:
-                    upper.curve(curve.grid, _show(curve.on_grid, phase=phase), drawn.colour, 0.7)
+                    upper.curve(curve.grid, _show(curve.on_grid, phase=phase), drawn.colour, 0.7, dash=drawn.dash)
                     continue
                 good = np.flatnonzero(line.usable)[:: max(1, -(-line.size // _MARKS))]
                 shown = _show(line.value[good], phase=phase)
@@ -75,7 +75,7 @@ def overlay(items: Sequence[Overlaid], *, alt: str) -> Drawing:
             grid = np.geomspace(*item.reach, _GRID)
             log, turn, *_ = item.mean(grid)
             course = turn if phase else np.exp(log)
-            upper.curve(grid, course, drawn.colour)
+            upper.curve(grid, course, drawn.colour, dash=drawn.dash)
             names.append((float(course[-1]), f"{drawn.sign} {item.name}", drawn.colour, True))
         upper.names(names)
         _draw_difference(drawing, x, items, phase=phase)
@@ -106,7 +106,7 @@ def _draw_difference(drawing: Drawing, x: Scale, items: Sequence[Overlaid], *, p
     panel.level(0.0, group(0).colour)
     for i, grid, value, lower, upper in courses:
         panel.band(grid, lower, upper, group(i).colour, ".2")
-        panel.curve(grid, value, group(i).colour, 1.7)
+        panel.curve(grid, value, group(i).colour, 1.7, dash=group(i).dash)
     if not courses:
         note(drawing, panel.left + 8, panel.top + 14, "no frequencies in common with the first")
 

@@ -23,14 +23,15 @@ _MISFIT = ((0.0, "#ffffff"), (0.2, "#fbe3d1"), (0.4, "#f0aa7b"), (0.6, "#cf6222"
 
 @dataclass(frozen=True)
 class Group:
-    """How a group of a campaign is drawn: colour, marker of the figures, the same marker as a sign in text."""
+    """How a group of a campaign is drawn: colour, marker of the figures, the same marker as a sign in text, dashes of its lines."""
 
     colour: str
     marker: str
     sign: str
+    dash: str | None = None
 
 
-GROUPS = (
+_FIRST = (
     Group("#94386d", "circle", "●"),
     Group("#8a6400", "square", "■"),
     Group("#0069a8", "triangle", "▲"),
@@ -38,11 +39,20 @@ GROUPS = (
     Group("#5b3f9e", "down", "▼"),
     Group("#525a63", "cross", "✖"),
 )
+_MORE = (("left", "◀"), ("right", "▶"), ("star", "★"), ("plus", "✚"), ("pentagon", "⬟"), ("hexagon", "⬢"))
+"""Markers of the second row, and their signs: more colours that are told apart on white, also without colour vision, there are not."""
+GROUPS = (*_FIRST, *(Group(g.colour, marker, sign, "8 3") for g, (marker, sign) in zip(_FIRST, _MORE, strict=True)))
 
 
 def group(index: int) -> Group:
-    """The drawing of the index-th group; from the seventh on they repeat, so the name must stand beside."""
+    """The drawing of the index-th group: from the seventh on the colours come again, with other markers and dashed lines; from the
+    thirteenth on they repeat, so the name must stand beside."""
     return GROUPS[index % len(GROUPS)]
+
+
+def number_colour(index: int) -> int:
+    """Which of the colours the index-th group has, as the style sheet numbers them."""
+    return index % len(_FIRST)
 
 
 def misfit(value: float) -> str:

@@ -273,7 +273,8 @@ _SIDES = {None: "left", "middle": "center", "end": "right"}
 _OUTLINE = 1.2
 _MARKERS = {
     "circle": ("o", 1.0), "square": ("s", 0.9), "triangle": ("^", 1.15), "down": ("v", 1.15), "diamond": ("D", 0.95),
-    "cross": ("X", 1.15),
+    "cross": ("X", 1.15), "left": ("<", 1.15), "right": (">", 1.15), "star": ("*", 1.4), "plus": ("P", 1.15), "pentagon": ("p", 1.15),
+    "hexagon": ("h", 1.15),
 }  # fmt: skip
 """Markers in matplotlib's words, and the factor of their size that makes them look as large as a circle."""
 
@@ -408,10 +409,10 @@ class Panel:
         line.set_clip_on(clipped)
         self.on.add_artist(line)
 
-    def steps(self, x: ArrayLike, y: ArrayLike, colour: str, width: float = 2.1) -> None:
+    def steps(self, x: ArrayLike, y: ArrayLike, colour: str, width: float = 2.1, *, dash: str | None = None) -> None:
         """A step line: the value holds until the next x."""
-        across, up = self._keep("t", x, y, colour, width)
-        self._add(artists.Line2D(across, up, color=colour, linewidth=self.drawing.pt(width), drawstyle="steps-post"))
+        across, up = self._keep("t", x, y, colour, width, dash)
+        self._add(artists.Line2D(across, up, color=colour, linewidth=self.drawing.pt(width), linestyle=self.drawing.dashes(dash, width), drawstyle="steps-post"))  # fmt: skip
 
     def band(
         self, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str, opacity: str = ".18", *, steps: bool = False

@@ -99,7 +99,7 @@ def gains(rows: Sequence[Gains], best: tuple[float, float] | None, *, alt: str) 
         names = []
         for j, (row, value) in enumerate(zip(rows, values, strict=True)):
             drawn = group(j)
-            panel.curve(row.integral, value, drawn.colour, 1.3)
+            panel.curve(row.integral, value, drawn.colour, 1.3, dash=drawn.dash)
             panel.dots(row.integral[row.settled], value[row.settled], drawn.colour, 5.0, marker=drawn.marker)
             panel.dots(
                 row.integral[~row.settled], value[~row.settled], drawn.colour, 5.0, marker=drawn.marker, open_=True

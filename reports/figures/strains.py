@@ -40,7 +40,7 @@ def by_amplitude(swings: Sequence[Swing], grid: Float, average: Complex | None, 
         drawn, good, f = group(i), swing.lines.usable, swing.lines.frequency
         value = shown(swing.lines.value)
         if swing.model is not None:
-            panel.curve(grid, shown(swing.model), drawn.colour, 1.3)
+            panel.curve(grid, shown(swing.model), drawn.colour, 1.3, dash=drawn.dash)
         panel.dots(f[~good], value[~good], RAW, 3.4, marker=drawn.marker)
         panel.dots(f[good], value[good], drawn.colour, 4.6, marker=drawn.marker)
         if good.any():

@@ -94,7 +94,7 @@ def kaplan_meier(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> 
         time, survival = np.append(start, np.maximum(g.time, start)), np.append(1.0, g.survival)
         lower, upper = np.append(1.0, g.lower), np.append(1.0, g.upper)
         panel.band(time, 100 * lower, 100 * upper, g.drawn.colour, ".14", steps=True)
-        panel.steps(time, 100 * survival, g.drawn.colour, 2.2)
+        panel.steps(time, 100 * survival, g.drawn.colour, 2.2, dash=g.drawn.dash)
         kept = g.censored > 0
         panel.dots(g.time[kept], 100 * g.survival[kept], g.drawn.colour, 7.2, marker=g.drawn.marker, open_=True)
     panel.axes("Surviving, %", time_title, x_ticks=ticks, y_ticks=(0, 25, 50, 75, 100))
@@ -266,7 +266,7 @@ def probability(groups: Sequence[GroupCurve], law: str, time_title: str, *, alt:
         panel.dots(time, [w(s) for s in failed.tolist()], g.drawn.colour, 5.2, marker=g.drawn.marker)
     for g, line in fitted:
         height = np.linspace(panel.y.low, panel.y.high, 3)
-        panel.curve(np.exp(line.location + line.sigma * height), height, g.drawn.colour, 1.5)
+        panel.curve(np.exp(line.location + line.sigma * height), height, g.drawn.colour, 1.5, dash=g.drawn.dash)
     _name_lines(panel, fitted, points, w)
     return drawing.told(alt)
 
@@ -378,7 +378,7 @@ def against_voltage(items: Sequence[VoltageLife], unit: str, *, alt: str) -> Dra
     entries = []
     for i in items:
         order = np.argsort(i.voltage)
-        upper.curve(i.voltage[order], i.law[order], i.drawn.colour, 1.6)
+        upper.curve(i.voltage[order], i.law[order], i.drawn.colour, 1.6, dash=i.drawn.dash)
         upper.dots(i.voltage, i.scale, i.drawn.colour, 5.6, marker=i.drawn.marker)
         lower.held(i.voltage, i.standardised, i.drawn.colour, 5.0)
         entries.append((float(i.law[order][-1]), short(i.name, 16), i.drawn.colour, True))

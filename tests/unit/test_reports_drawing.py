@@ -540,3 +540,11 @@ def test_the_end_of_a_survival_axis_has_few_digits(end: float, shown: str | None
     if shown is not None and ticks[-1] > 0.9 * end:
         assert tick_text(ticks[-1]) == shown
     assert all(len(tick_text(tick)) <= 6 for tick in ticks)
+
+
+def test_steps_of_groups_of_the_second_row_are_dashed() -> None:
+    for index, expected in ((0, "-"), (6, "--")):
+        drawing = Drawing(300, 200)
+        panel = Panel(drawing, 40, 20, 200, 120, Scale(0.0, 1.0), Scale(0.0, 1.0))
+        panel.steps([0.0, 1.0], [0.0, 1.0], group(index).colour, dash=group(index).dash)
+        assert [line.get_linestyle() for line in panel.on.lines] == [expected]

@@ -297,21 +297,26 @@ def test_specimens_that_have_a_diagnosis_and_no_model_are_not_counted_with_one()
     assert campaign._tell_undrawn([fitted], {"A"}) == []
 
 
-def test_causes_have_no_colours_of_the_groups_beside_them(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("groups", "sites"), [(2, 2), (5, 4), (8, 4)])
+def test_causes_have_no_colours_of_the_groups_beside_them(
+    groups: int, sites: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beyond six of both together the colours came again, and a cause looked like a group."""
     rows = [
-        {"configuration": group, "voltage_kv": 7.5, "failure_site": site, "time_s": t, "failures": 1, "probability": 0.1 * t,
-         "lower_95": None, "upper_95": None}
-        for group in ("divided", "single") for site in ("lead", "rod") for t in (1.0, 2.0)
+        {"configuration": f"g{group}", "voltage_kv": 7.5, "failure_site": f"s{site}", "time_s": t, "failures": 1,
+         "probability": 0.1 * t, "lower_95": None, "upper_95": None}
+        for group in range(groups) for site in range(sites) for t in (1.0, 2.0)
     ]  # fmt: skip
     drawn: list[Any] = []
     monkeypatch.setattr(causes, "draw_incidence", lambda panels, *_, **__: drawn.extend(panels) or Markup(""))
     draft = SimpleNamespace(item="c", results=SimpleNamespace(rows=lambda _: rows), data=lambda *_: "")
-    labels = {("divided", 7.5): "divided", ("single", 7.5): "single"}
+    labels = {(f"g{group}", 7.5): f"g{group}" for group in range(groups)}
     assert causes.incidence(cast(Any, draft), 1.0, labels, "Time") is not None
-    used = [one.drawn for _, panel in drawn for one in panel]
-    assert len(used) == 4
-    assert len(set(used)) == 2
-    assert not {palette.group(i) for i in range(len(labels))} & set(used)
+    used = {one.drawn for _, panel in drawn for one in panel}
+    assert len(used) == sites
+    beside = {palette.group(i) for i in range(groups)}
+    for look in (lambda g: (g.colour, g.dash), lambda g: g.marker, lambda g: g.sign):
+        assert len({look(g) for g in used | beside}) == groups + sites
 
 
 def test_what_is_beside_causes_that_are_certain_is_no_alternative_to_them() -> None:

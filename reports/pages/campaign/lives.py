@@ -334,7 +334,7 @@ def _falls(rows: list[Record]) -> Int:
 def marked(index: int, text: str) -> Markup:
     """A group's name after its marker."""
     drawn = palette.group(index)
-    return Markup('<span class="group g{}">{}</span> {}').format(index % len(palette.GROUPS), drawn.sign, text)
+    return Markup('<span class="group g{}">{}</span> {}').format(palette.number_colour(index), drawn.sign, text)
 
 
 def groups(draft: Draft, lives: Lives) -> Section | None:
