@@ -12,6 +12,9 @@ from schemas import control
 from schemas.constraint import CONSTRAINT_GAINS
 from schemas.tables import TABLES
 
+WHY_NO_MODEL = "regexp_extract(coalesce(notes, ''), '(^|; )models: (.*?)(; expected |$)', 2)"
+"""What the models of a specimen lacked, from the notes of its item; an empty text where nothing is said."""
+
 
 @dataclass(frozen=True)
 class View:
@@ -83,9 +86,9 @@ ORDER BY c.campaign, c.coefficient = 'intercept' DESC, c.coefficient""",
     ),
     View(
         "needs_attention",
-        "recordings that were refused, are damaged, are waiting or led to no result, analyses that failed, and rigs without"
-        " constants that recordings need, with the reason",
-        """
+        "recordings that were refused, are damaged, are waiting or led to no result, analyses that failed, specimens without"
+        " a model, and rigs without constants that recordings need, with the reason",
+        f"""
 SELECT 'recording' AS what, recording_id AS name, status, problem, source_path, source_present, run_id
 FROM recordings
 WHERE status IN ('quarantined', 'damaged', 'pending') OR (problem IS NOT NULL AND status <> 'duplicate')
@@ -98,8 +101,17 @@ SELECT 'recording', recording_id, 'without result', what_was_missing, source_pat
 FROM without_result
 WHERE status <> 'quarantined'
 UNION ALL
+SELECT 'specimen', specimen_id, 'without model', concat('no model: ', {WHY_NO_MODEL}), NULL, NULL, run_id
+FROM items JOIN (
+    SELECT DISTINCT specimen_id FROM recordings
+    WHERE recording_id NOT IN (SELECT recording_id FROM without_result WHERE recording_id IS NOT NULL)
+        AND specimen_id NOT IN (SELECT specimen_id FROM model_fits WHERE specimen_id IS NOT NULL)
+        AND status IN ('ok', 'damaged')
+) ON item_id = concat('specimen:', specimen_id)
+WHERE outcome <> 'failed' AND {WHY_NO_MODEL} <> ''
+UNION ALL
 SELECT 'rig', rig_id, 'without constants', format(
-    'rig file rigs/{0}.toml is not there or gives no load_cell_stiffness_n_per_mm: no resonance correction of {1} of its'
+    'rig file rigs/{{0}}.toml is not there or gives no load_cell_stiffness_n_per_mm: no resonance correction of {{1}} of its'
     ' recordings; expected below the folder given to the nightly, beside them or above. Write it, or give its folder with'
     ' --rigs', rig_id, count(*)), NULL, NULL, NULL
 FROM recordings JOIN assumptions USING (recording_id)

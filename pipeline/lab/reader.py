@@ -98,15 +98,20 @@ class Reader:
         return self._iterate_values(self._make_query(name, columns, None, (), ordered=False))
 
     def list_rigs_without_constants(self) -> list[str]:
-        """What is told of each rig whose constants recordings need and do not have.
+        """What is told of each rig whose constants recordings need and do not have."""
+        return [problem for _, problem in self._list_attention("rig")]
 
-        A database of before the view has none to tell.
-        """
+    def list_specimens_without_model(self) -> list[tuple[str, str]]:
+        """Each specimen that has results and no model, with what its models lacked."""
+        return self._list_attention("specimen")
+
+    def _list_attention(self, what: str) -> list[tuple[str, str]]:
+        """Names and problems of one kind in the view; a database of before it has none to tell."""
         view = "needs_attention"
         if view not in self._columns:
             return []
-        query = f"SELECT problem FROM {view} WHERE what = 'rig' ORDER BY name"
-        return [problem for (problem,) in self._iterate_values((query, []))]
+        query = f"SELECT name, problem FROM {view} WHERE what = '{what}' ORDER BY name"
+        return [(name, problem) for name, problem in self._iterate_values((query, []))]
 
     def _iterate(
         self, name: str, columns: Sequence[str] | None, query: tuple[str, list[list[str]]] | None

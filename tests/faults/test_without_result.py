@@ -185,6 +185,31 @@ def test_what_a_test_needs_for_its_diagnosis_is_told_where_it_lacks(
         assert f"no diagnosis: {lacking} missing" in missing
 
 
+def test_a_specimen_without_a_model_is_told_with_the_reason(tmp_path: Path) -> None:
+    """Only the bookkeeping of the night said so; the recording has a result, so that it is none of those without."""
+    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
+    (raw / "rigs").mkdir(parents=True)
+    (raw / "rigs" / "rig-a.toml").write_text(RIG)
+    t = np.arange(4000) / 100.0
+    x = 0.2 * np.sin(2 * np.pi * t)
+    force = 0.5 + x + np.random.default_rng(2).normal(0, 1e-3, t.size)
+    channels = {"displacement": ("mm", x), "force": ("N", force)}
+    write(raw / "one.mcap", about("one", "cyclic", "mechanical", "S:2", 1, frequency_hz=1), 100.0, channels)
+    summary = nightly([raw], lab, jobs=0)
+    assert (summary.exit_status, summary.without_result) == (0, ())
+    ((name, status, problem),) = select(lab, "SELECT name, status, problem FROM needs_attention")
+    assert (name, status) == ("S:2", "without model")
+    assert problem == "no model: amplitude 0.2: 1 distinct frequencies or times for 3 parameters of order 1"
+    told = describe_lab(lab).partition("Without a model:")[2].splitlines()
+    assert told[1].strip() == f"S:2: {problem}"
+    (page,) = (lab.reports / "specimens").glob("*.html")
+    assert "No model: amplitude 0.2: 1 distinct frequencies" in page.read_text(encoding="utf-8")
+    chirp(raw / "a.mcap", 1, specimen_id="S:2")
+    nightly([raw], lab, jobs=0)
+    assert select(lab, "SELECT name FROM needs_attention WHERE what = 'specimen'") == []
+    assert "Without a model" not in describe_lab(lab)
+
+
 def test_a_rig_without_a_file_is_told_once_where_people_look(tmp_path: Path) -> None:
     """Only the warnings of a model said so."""
     raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from pipeline.lab.annotations import Annotation, find_broken_lines, list_excluded, read_annotations
@@ -40,6 +40,7 @@ def describe_lab(lab: Lab) -> str:
         for title, found in (
             ("Needs attention", [*find_broken_lines(lab), *_list_attention(reader)]),
             ("No result from", _list_without_result(lab, reader)),
+            ("Without a model", _list_without_model(lab, reader)),
             ("Out of the analysis", _list_exclusions(annotations, published)),
             ("The file has gone, the results stay", _list_gone(reader)),
             ("Not fresh, made again by the next nightly over its files", _list_stale(lab, reader)),
@@ -99,21 +100,36 @@ def _list_attention(reader: Reader) -> Iterator[str]:
 
 def _list_without_result(lab: Lab, reader: Reader) -> Iterator[str]:
     """What was taken in and led to nothing, by reason; refused files need attention, and stand there."""
+    named = (
+        (
+            f"{row['recording_id']}: {row['source_path']}",
+            row["what_was_missing"].replace(f"{row['recording_id']}: ", ""),
+        )
+        for row in reader.each("without_result", ("recording_id", "status", "source_path", "what_was_missing"))
+        if row["status"] != "quarantined"
+    )
+    yield from _name_some(named, lab.spell_command('sql "SELECT * FROM without_result"'))
+
+
+def _list_without_model(lab: Lab, reader: Reader) -> Iterator[str]:
+    """Specimens that have results and no model, by what their models lacked."""
+    listing = lab.spell_command("sql \"SELECT * FROM needs_attention WHERE what = 'specimen'\"")
+    yield from _name_some(reader.list_specimens_without_model(), listing)
+
+
+def _name_some(named: Iterable[tuple[str, str]], listing: str) -> Iterator[str]:
+    """Names with their reasons, of each reason the first ones alone; `listing` is the command that lists them all."""
     found: dict[str, list[str]] = {}
     more: Counter[str] = Counter()
-    for row in reader.each("without_result", ("recording_id", "status", "source_path", "what_was_missing")):
-        if row["status"] == "quarantined":
-            continue
-        why = row["what_was_missing"].replace(f"{row['recording_id']}: ", "")
+    for name, why in named:
         some = found.setdefault(why, [])
         if len(some) < _NAMED_EACH:
-            some.append(f"{row['recording_id']}: {row['source_path']}")
+            some.append(name)
         else:
             more[why] += 1
     for why, some in found.items():
         yield from (f"{one}: {why}" for one in some)
         if more[why]:
-            listing = lab.spell_command('sql "SELECT * FROM without_result"')
             yield f"and {more[why]} more: {why} ({listing} lists them)"
 
 

@@ -44,6 +44,7 @@ from reports.results import Query, Row, days
 from reports.site import SPECIMENS, Site, flat_metadata
 from reports.standings import find_negative, find_tapped, stand
 from schemas.numbers import NBSP, capital, compact, counted, digits, joined, seconds, with_unit
+from schemas.views import WHY_NO_MODEL
 
 
 def page(site: Site, specimen: str) -> Page:
@@ -217,10 +218,6 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
     return [s for s in candidates if s is not None]
 
 
-_MODELS = "models: "
-"""How the notes of a specimen begin where its models could not be had."""
-
-
 def _title(standing: Standing, used: list[Row]) -> str:
     if standing.diagnosis and standing.verdict:
         return standing.verdict
@@ -229,10 +226,9 @@ def _title(standing: Standing, used: list[Row]) -> str:
 
 def _why_no_model(draft: Draft) -> list[Text]:
     """What the fits of a specimen without a model lacked; nothing where none was tried."""
-    query = "SELECT notes FROM items WHERE item_id = $item AND notes LIKE $begin"
-    rows = draft.results.rows(Query(query, {"item": f"specimen:{draft.item}", "begin": f"{_MODELS}%"}))
-    reasons = [str(r["notes"]).removeprefix(_MODELS).split("; expected ")[0] for r in rows]
-    return [Text(flow("No model: ", short(reason, 300), "."), "") for reason in reasons]
+    query = f"SELECT {WHY_NO_MODEL} AS reason FROM items WHERE item_id = $item AND {WHY_NO_MODEL} <> ''"
+    rows = draft.results.rows(Query(query, {"item": f"specimen:{draft.item}"}))
+    return [Text(flow("No model: ", short(row["reason"], 300), "."), "") for row in rows]
 
 
 _FINDINGS = ("isotonic", "slow-voltage", "creep", "pull", "loops")
