@@ -117,10 +117,12 @@ def _tell_beside(standing: Standing) -> str:
     """What has to stand beside the stiffness of a plain model that a diagnosis finds wanting: that with the cause in it, or that its ± does not hold."""
     if standing.verdict in ("", "none"):
         return ""
-    with_cause = standing.extension
+    fit, with_cause = standing.fit, standing.extension
     if with_cause is None or not numbers.is_usable(with_cause["k0_n_per_mm_sd"]):
         return " as far as the plain model goes"
     value = numbers.headline(with_cause["k0_n_per_mm"], with_cause["k0_n_per_mm_sd"], "N/mm")
+    if fit is not None and numbers.headline(fit["k0_n_per_mm"], fit["k0_n_per_mm_sd"], "N/mm") == value:
+        return " with the cause and without it"
     return f" without the cause and {value} with it"
 
 

@@ -292,13 +292,22 @@ def _worst(panel: Panel, f: Float, off: Float, times_noise: float | None) -> Non
     panel.held(f[wrong], off[wrong], WRONG, 4.2)
     i = int(np.nanargmax(np.abs(off)))
     at = f"most at {compact(float(f[i]), 2)} Hz"
-    text = at if times_noise is None else f"over all data {significant(times_noise, 2)} times the noise; {at}"
+    words = [at] if times_noise is None else [f"over all data {significant(times_noise, 2)} times the noise;", at]
     x = float(panel.px(f[[i]])[0])
     anchor = "end" if x > panel.left + 0.4 * panel.width else None
-    y = panel.top + 10 if off[i] > 0 else panel.bottom - 5
-    panel.drawing.write(x + (-34 if anchor else 12), y, text, colour=WRONG, anchor=anchor, bold=True, size=11.3)
+    room = x - 34 - panel.left if anchor else panel.right - x - 12
+    lines = [" ".join(words)] if _LETTER * len(" ".join(words)) <= room else words
+    y = panel.top + 10 if off[i] > 0 else panel.bottom - 5 - _LINE * (len(lines) - 1)
+    for k, line in enumerate(lines):
+        panel.drawing.write(
+            x + (-34 if anchor else 12), y + _LINE * k, line, colour=WRONG, anchor=anchor, bold=True, size=11.3
+        )
 
 
+_LETTER = 6.1
+"""Width of a letter of the words beside the largest residual, px: what has no room on one line takes two."""
+_LINE = 12.0
+"""Height of these lines, px."""
 _ROOM_FOR_WORDS = 300.0
 """Width of a panel, px, from which on the title of the residual has room beside the names of the orders."""
 _CAPTION_WIDTH = 130.0

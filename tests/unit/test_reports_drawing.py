@@ -192,7 +192,7 @@ def test_a_misfit_is_named_by_the_measure_of_the_headline() -> None:
     curves = [Curve(1, True, model, data.frequency, data.value, residual(data, model), times_noise=4.2)]
     image = parsed(response(data, None, curves, phase=False, alt="x", alarm=True))
     texts = [e.text or "" for e in image if e.tag == SVG + "text"]
-    assert "over all data 4.2 times the noise; most at 100 Hz" in texts
+    assert "over all data 4.2 times the noise; most at 100 Hz" in " ".join(texts)
     assert not any(" SD at " in text for text in texts)
     # what the response alone leaves is another number: the caption tells both
     fit = {"spread": '{"gain_sd": 0.01, "relative_sd": 0.02}'}

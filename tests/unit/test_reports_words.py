@@ -559,6 +559,8 @@ def with_stiffness(verdict: str, extension: dict[str, object] | None) -> str:
 def test_a_stiffness_of_a_model_that_is_not_right_does_not_stand_alone() -> None:
     with_cause: dict[str, object] = {"k0_n_per_mm": 0.46, "k0_n_per_mm_sd": 0.003}
     assert "0.420 ± 0.028 N/mm without the cause and 0.460 ± 0.003 N/mm with it;" in with_stiffness("named", with_cause)
+    same: dict[str, object] = {"k0_n_per_mm": 0.4201, "k0_n_per_mm_sd": 0.0281}
+    assert "0.420 ± 0.028 N/mm with the cause and without it;" in with_stiffness("named", same)
     assert "0.420 ± 0.028 N/mm as far as the plain model goes;" in with_stiffness("unknown", None)
     assert "0.420 ± 0.028 N/mm; reduced" in with_stiffness("none", None)
 
