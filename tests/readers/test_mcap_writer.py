@@ -336,7 +336,7 @@ def _run_alone(code: str, folder: Path) -> str:
 
 def test_the_readmes_example_runs_with_what_a_rig_installs(tmp_path: Path) -> None:
     _run_alone(writer_example(), tmp_path)
-    recording = read_mcap(tmp_path / "P-07_chirp-1.mcap")
+    recording = read_mcap(tmp_path / "P-12_chirp-1.mcap")
     assert {channel.quantity: channel.values.size for channel in recording.channels} == {
         "displacement": 44_000,
         "force": 44_000,

@@ -169,10 +169,10 @@ def check_writer(wheel: Path, full: Path, place: Path) -> Said:
     rig = place / "rig"
     (place / "write.py").write_text(writer_example(), encoding="utf-8")
     _do([str(rig / "bin" / "python"), "write.py"], place)
-    done = first_file.run("dealab inspect P-07_chirp-1.mcap", place, apart(full))
+    done = first_file.run("dealab inspect P-12_chirp-1.mcap", place, apart(full))
     names = sorted(path.name.partition("-")[0] for path in rig.glob("lib/python*/site-packages/*.dist-info"))
     yield (
-        done.said.startswith(f"P-07_chirp-1.mcap: {FITS}\n"),
+        done.said.startswith(f"P-12_chirp-1.mcap: {FITS}\n"),
         (
             f"the writer alone ({', '.join(name for name in names if name not in BROUGHT)}) writes what the whole reads; "
             f"{_measure(rig):.0f} MB installed, the whole {_measure(full):.0f} MB"

@@ -143,7 +143,7 @@ def test_the_writer_example_makes_a_recording(tmp_path: Path, monkeypatch: pytes
     """The example as it stands, with nothing that it does not say itself."""
     monkeypatch.chdir(tmp_path)
     exec(next(block for block in blocks("python") if "RecordingWriter" in block), {})
-    raw = read_raw(tmp_path / "P-07_chirp-1.mcap", None)
+    raw = read_raw(tmp_path / "P-12_chirp-1.mcap", None)
     recording = canonical(raw, where="example", rig_file=None, source=None)
     assert recording.status == "ok"
     assert recording.channels["displacement"].values.size == 44_000
@@ -151,6 +151,14 @@ def test_the_writer_example_makes_a_recording(tmp_path: Path, monkeypatch: pytes
     (response,) = respond(recording).responses
     assert response.frequency_hz.max() > 90, "a night has to make something of what the README shows"
     assert np.abs(response.value[response.usable]) == pytest.approx(0.2, rel=0.02)
+
+
+def test_who_follows_the_readme_from_the_top_measures_two_specimens() -> None:
+    """Both examples were of P-07 on one day: the second made a nonsense of the first one's model."""
+    writer = next(block for block in blocks("python", "README.md") if "RecordingWriter" in block)
+    first = {tomllib.loads(block)["recording"]["specimen_id"] for block in blocks("toml", "README.md")}
+    assert first
+    assert first.isdisjoint(re.findall(r'"specimen_id": "(.*?)"', writer))
 
 
 def examples() -> list[tuple[str, str]]:
