@@ -155,6 +155,17 @@ def test_a_constant_that_cannot_be_negative_is_not_shown_so_without_a_word(
     assert said in plain(" ".join(findings.remarks(Standing("P-07", None, None, fit, None))))
 
 
+def test_fitted_constants_say_what_the_diagnosis_made_of_them() -> None:
+    fit = dict.fromkeys(TABLES["model_fits"].names) | {
+        "load_cell_damping_n_s_per_mm": -0.00105, "load_cell_damping_n_s_per_mm_sd": 0.00021,
+    }  # fmt: skip
+    standing = of_rig({"clamp_mass_kg": "0.188", "rig_id": "shaker-2"}, taps=True)
+    found, negative = models._rig_notes(standing, fit, findings.find_constants(standing))
+    assert "the diagnosis finds them elsewhere. Write clamp_mass_kg = 0.2030 ± 0.0021 (now 0.188)" in plain(found)
+    assert "5.0 SD below 0" in plain(negative)
+    assert models._rig_notes(of_rig({}, taps=True), dict.fromkeys(fit), []) == []
+
+
 @pytest.mark.parametrize(
     ("fitted", "plain_model", "expected"),
     [

@@ -8,7 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from reports.blocks import Head, Piece, Row, Section, Table, Text, code, filled, flow, sub
+from reports.blocks import Head, Piece, Row, Section, Table, Text, bold, code, filled, flow, sub
 from reports.evidence import Standing, beyond_noise, siblings
 from reports.figures.curves import Arm, arms, relaxation_time_sd
 from reports.findings import FoundConstant, find_constants, sentences, tell_constants, tell_negative
@@ -194,10 +194,7 @@ def parameters(draft: Draft, standing: Standing, chosen: Record) -> Section:
         tuple(rows),
         query.shown(),
         _method_note(chosen),
-        flow(
-            _parameter_note(chosen, after, moved, _step_strain(draft)),
-            *(f" {text}" for text in _rig_notes(standing, chosen, constants)),
-        ),
+        _parameter_note(chosen, after, moved, _step_strain(draft)),
         "narrow",
     )
     heading: Piece = "Parameters"
@@ -213,7 +210,8 @@ def parameters(draft: Draft, standing: Standing, chosen: Record) -> Section:
             heading = flow(
                 heading, f", {headline(value, sd, 'MPa')} with the cause in the model" if is_usable(sd) else ""
             )
-    return Section("parameters", heading, "Parameters", (table,))
+    notes = (Text(flow(bold("The rig: "), text)) for text in _rig_notes(standing, chosen, constants))
+    return Section("parameters", heading, "Parameters", (table, *notes))
 
 
 def _as_columns(found: FoundConstant) -> dict[str, float]:
@@ -225,10 +223,10 @@ def _rig_notes(standing: Standing, chosen: Record, constants: Sequence[FoundCons
     notes = []
     if constants:
         notes.append(
-            "Clamp and load cell are fitted from what the rig's file says of them, within its ±; the diagnosis finds them elsewhere."
+            "clamp and load cell are fitted from what the rig's file says of them, within its ±; the diagnosis finds them elsewhere."
             f" {tell_constants(standing, constants)}"
         )
-    return [*notes, *tell_negative(chosen)]
+    return [*notes, *(text[:1].lower() + text[1:] for text in tell_negative(chosen))]
 
 
 def _filed(stated: Mapping[str, Any], column: str) -> str:
