@@ -175,11 +175,12 @@ WITH_RIG = (
 
 @dataclass(frozen=True)
 class Want:
-    """Keys without which tests of these kinds give less: `cost` is what does not come."""
+    """Keys without which tests of these kinds give less: `cost` is what does not come; `unless` a test has this channel."""
 
     keys: tuple[str, ...]
     tests: tuple[tuple[str, str], ...]
     cost: str
+    unless: str = ""
 
 
 _OF_A_MODULUS = tuple((name, MECHANICAL) for name in ("chirp", "cyclic", "step", "cycle", "pull"))
@@ -188,7 +189,12 @@ WANTS = (
     Want(("rig_id",), WITH_RIG, "no correction for the resonance of clamp and load cell"),
     Want(("film_length_mm", "film_width_mm", "film_thickness_mm"), _OF_A_MODULUS, "no modulus"),
     Want(("active_length_mm", "active_width_mm", "film_thickness_mm"), _OF_BLOCKED_FORCE, "no permittivity"),
+    Want(("stretch_1",), (*_OF_A_MODULUS, *_OF_BLOCKED_FORCE), "the film counts as not pre-stretched"),
     Want(("stretch_1",), (("force_map", ELECTRICAL),), "no place on a map of forces"),
+    Want(("load_n",), (("isotonic", ELECTRICAL),), "no load beside the stroke", unless="force"),
+    Want(("coats",), (("coverage", ELECTRICAL),), "no result"),
+    Want(("rig_id",), (("tap", CALIBRATION), ("weight", CALIBRATION)), "no use for the recordings of its rig"),
+    Want(("masses_kg",), (("weight", CALIBRATION),), "no result"),
 )
 """What else a test wants to be told, and no file of samples shows; `NEEDS` beside it."""
 
@@ -203,8 +209,8 @@ class Lack:
 
 def find_lacking(given: Container[str], channels: Container[str], name: str, loading: str) -> tuple[Lack, ...]:
     """Keys of `WANTS` and `NEEDS` that are not among the given ones, for a test with these channels."""
-    wanted = [(want.cost, want.keys) for want in WANTS if (name, loading) in want.tests]
-    lacking = [(cost, tuple(key for key in keys if key not in given)) for cost, keys in wanted]
+    asked = [want for want in WANTS if (name, loading) in want.tests and want.unless not in channels]
+    lacking = [(want.cost, tuple(key for key in want.keys if key not in given)) for want in asked]
     found = [Lack(keys, f"{cost}: {', '.join(keys)} missing") for cost, keys in lacking if keys]
     needed = find_needed_keys(given, channels, name, loading)
     return (*found, *([Lack(needed, tell_needed(" and ".join(needed)))] if needed else []))
