@@ -224,7 +224,7 @@ class PriorRules:
 
     plain: float = _rule(0.5, "that nothing is beside the plain model but noise")
     anything: float = _rule(0.05, "that it is something that nobody has thought of, in a few groups of features")
-    listed: float = _rule(0.4, "that one of the listed causes is")
+    listed: float = _rule(0.4, "that one of the listed causes is, each as likely, and its variants alike")
     contradicted: float = _rule(
         4.0, "deviation of the actuation from what sizes and permittivity say, from which these are wrong", unit="SD"
     )

@@ -47,9 +47,11 @@ DESIGNS = {"compact": compact_designs, "full": full_designs}
 INSEPARABLE = (
     frozenset({"thermal_softening", "cyclic_softening"}),
     frozenset({"drive_offset", "field_dependent_permittivity", "wrinkling"}),
+    frozenset({"field_dependent_permittivity", "leakage"}),
     frozenset({"missing_relaxation", "power_law_relaxation"}),
 )
-"""Groups that cannot be told apart without further recordings (temperature; both polarities and more voltages; a slower decade)."""
+"""Groups that cannot be told apart without further recordings (temperature; both polarities and more voltages; the current of the film;
+a slower decade)."""
 _BAND = np.geomspace(1.0, 100.0, 40)
 _DETECTABLE = 5.1
 """Length of a trace, in standard deviations of the noise, that is found with 80 % probability at the level of the search."""

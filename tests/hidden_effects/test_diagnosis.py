@@ -107,7 +107,13 @@ def test_what_the_actuation_does_over_the_voltage_is_told_apart(effect: Effect) 
     found = observe(made(Case(SEED), (effect,)))
     assert found.mechanisms == (effect.id,)
     assert found.candidates[0].probability > 0.8
-    assert {*found.also_possible} <= {UNLISTED}
+    assert {*found.also_possible} <= {UNLISTED, *_list_alike(effect)}
+
+
+def _list_alike(effect: Effect) -> set[str]:
+    """What no recorded channel tells from an effect: what takes from V² as V⁴ does may also be a current ∝ V³ that flows at once
+    through a resistance behind the monitor."""
+    return {"leakage"} if effect.id == "field_dependent_permittivity" else set()
 
 
 @pytest.mark.long
@@ -399,7 +405,7 @@ def _tells_listed_apart(found: Diagnosis, session: Session, effect: Effect) -> b
     whole = ("repeats", "periods", "cycles")
     designs = [{k: int(v) if k in whole else v for k, v in d.items()} for d in found.next_recording.designs]
     again = observe(session.extended(*designs))
-    return again.mechanisms == (effect.id,) and {*again.also_possible} <= {UNLISTED}
+    return again.mechanisms == (effect.id,) and {*again.also_possible} <= {UNLISTED, *_list_alike(effect)}
 
 
 @pytest.mark.long
@@ -408,7 +414,7 @@ def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
     rectified, which the session cannot tell from one that is not, shows at a low voltage alone."""
     found = judge(Case(OFFSET_OR_FIELD, "compact", (("drive_offset", 2.0),)))
     assert found.verdict == "ambiguous"
-    assert {*found.named, *found.possible} == {"field_dependent_permittivity", "drive_offset"}
+    assert {*found.named, *found.possible} - {"leakage"} == {"field_dependent_permittivity", "drive_offset"}
     assert found.split
 
 

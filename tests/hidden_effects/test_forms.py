@@ -10,6 +10,7 @@ import pytest
 
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.mechanisms.drive import MONITORED
 from pipeline.diagnose.search.discrepancies import list_discrepancies
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit, compose_chosen
 from pipeline.diagnose.simulation.effects import NONE
@@ -70,7 +71,7 @@ CASES = [
     ),
     (
         "leakage",
-        "",
+        MONITORED,
         0.06,
         {},
         STEPS + MULTISINES,

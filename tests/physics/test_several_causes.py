@@ -38,4 +38,6 @@ def test_one_effect_is_one_cause() -> None:
 def test_two_effects_are_two_causes() -> None:
     found = combine(331, Effect("field_dependent_permittivity", 0.05), Effect("baseline_drift", 0.05))
     assert set(found.hypotheses[0].causes) == {"field_dependent_permittivity", "baseline_drift"}
-    assert found.probability[found.hypotheses[0].name] > RULES.verdict.credible
+    # A current that flows at once behind the monitor takes from V² as that permittivity does: no recorded channel tells them apart.
+    alike = ("baseline_drift+field_dependent_permittivity", "baseline_drift+leakage")
+    assert sum(found.probability.get(name, 0.0) for name in alike) > RULES.verdict.credible

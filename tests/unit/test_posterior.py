@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.diagnose.search.posterior import Hypothesis, Posterior
+from pipeline.diagnose.mechanisms import MECHANISMS
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.extended_model import Chosen, ExtendedFit
+from pipeline.diagnose.search.posterior import Hypothesis, Posterior, believe
 from pipeline.diagnose.search.several_causes import choose_bases
 
 EVIDENCE = st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=12)
@@ -47,3 +54,24 @@ def test_two_ends_of_one_search_take_no_other_causes_place_as_a_base() -> None:
 def test_of_one_name_the_best_counts() -> None:
     twice = Posterior.of(make_hypothesis("slack", e) for e in (-3.0, -1.0, -2.0))
     assert [h.log_evidence for h in twice.hypotheses] == [-1.0]
+
+
+def test_variants_share_what_is_believed_of_their_mechanism() -> None:
+    """Two variants that do as well are believed as one mechanism without variants is; a variant that fails takes half of it along."""
+
+    @dataclass(frozen=True)
+    class Fitted:
+        of: SimpleNamespace
+
+    def make_variant(variant: str, evidence: float) -> Hypothesis:
+        chosen = Chosen("drive_lag", variant)
+        fit = cast(ExtendedFit, Fitted(SimpleNamespace(chosen=(chosen,))))
+        return replace(make_hypothesis("drive_lag", evidence), fit=fit, log_prior=believe((chosen,), noise_alone=False))
+
+    one, other = (make_variant(v, -7.0) for v in MECHANISMS["drive_lag"].variants)
+    whole = -7.0 + np.log(RULES.prior.listed / len(MECHANISMS))
+    [both] = Posterior.of([one, other, one]).hypotheses
+    assert both.log_joint == pytest.approx(whole)
+    [best] = Posterior.of([one, replace(other, log_evidence=-50.0)]).hypotheses
+    assert best.log_joint == pytest.approx(whole - np.log(2))
+    assert best.log_evidence == -7.0

@@ -117,13 +117,28 @@ def _leak(values: Values, variant: str) -> Effect:
         return np.asarray(1 - sag * build_up(view))
 
     def wave(given: Wave) -> Wave:
-        # What builds up follows the voltage slowly: its mean over the period.
+        # What builds up follows the voltage slowly: its mean over the period, the more so the longer it takes.
         mean = np.abs(given.film_kv).mean(axis=1, keepdims=True) / max(given.scale.voltage_kv, 1e-9)
-        built = at_once + (1 - at_once) * np.minimum(mean, 1.0)
+        period = (given.interval_s or 0.0) * given.film_kv.shape[1]
+        late = (1 - at_once) * build / (build + period)
+        built = 1 - late * (1 - np.minimum(mean, 1.0))
         sag = droop * conductance(given.film_kv, given.scale.voltage_kv) * built
         return replace(given, film_kv=given.film_kv * (1 - sag))
 
-    return Effect(monitor_wave=(wave,), monitor_edges=(edge,))
+    def squared_edge(view: View, side: float) -> Complex | Float:
+        sag = droop * conductance(view.voltage_kv, view.scale.voltage_kv)
+        if side < 0:
+            return np.asarray((1 - sag) ** 2)
+        # (1 − sag b)² of b = 1 − (1 − a) e^{−t/τ}, whose square falls with τ and with τ/2.
+        s, late = 2j * np.pi * view.frequency_hz * build, 1 - at_once
+        built = 1 - 2 * late * s / (1 + s) + late**2 * s / (2 + s)
+        return np.asarray(1 - 2 * sag * build_up(view) + sag**2 * built)
+
+    if variant == MONITORED:
+        return Effect(monitor_wave=(wave,), monitor_edges=(edge,))
+    return Effect(
+        film_voltage=(lambda given: given if given.interval_s is None else wave(given),), film_edges=(squared_edge,)
+    )
 
 
 DRIVE_LAG = Mechanism(
@@ -183,11 +198,12 @@ LEAKAGE = Mechanism(
     id="leakage",
     stage="drive",
     depends_on=("voltage", "record_time"),
-    equation="V (1 − d (q + (1 − q) (V/V_max)^p)): current V/R + a V^(p + 1), which builds up, through a series resistance",
+    equation="V (1 − d (q + (1 − q) (V/V_max)^p)): current V/R + a V^(p + 1), which builds up, through a series resistance "
+    "before the monitor or behind it",
     source="current of polymers at high fields",
     parameters=(
         Parameter("droop", "1", "sag at the largest voltage", 0.01, 0.2, most=0.9),
-        Parameter("build_up_s", "s", "time in which the sag builds up", 0.1, 10.0, SHAPE),
+        Parameter("build_up_s", "s", "time in which the sag builds up", 1e-3, 10.0, SHAPE),
         Parameter(
             "ohmic",
             "1",
@@ -201,11 +217,13 @@ LEAKAGE = Mechanism(
         Parameter("at_once", "1", "share of the current that needs no time", 0.0, 1.0, SHAPE, log=False, most=1.0),
         Parameter("field_power", "1", "p", 0.5, 4.0, SHAPE, least=0.1, most=8.0),
     ),
-    shows=AMPLIFIER,
+    shows=AMPLIFIER | BENT,
     confusable={
-        "field_dependent_permittivity": "the measured voltage tells",
-        "wrinkling": "the measured voltage tells",
+        "field_dependent_permittivity": "the measured voltage tells, or that a current builds up; behind the monitor one that flows at once "
+        "is told by nothing but its own measurement",
+        "wrinkling": "the measured voltage tells, or that a current builds up",
     },
     effect=_leak,
+    variants=(MONITORED, _HIDDEN),
 )
 MECHANISMS = (DRIVE_LAG, DRIVE_OFFSET, LEAKAGE)

@@ -9,21 +9,19 @@ them is true is as likely as the recordings at hand make it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import log_expit, log_ndtr
 
 from pipeline.diagnose.mechanisms import Mechanism
-from pipeline.diagnose.proposals.designs import WARMER_K, Proposal, list_proposals, select_showing
+from pipeline.diagnose.proposals.designs import WARMER_K, Proposal, Test, list_proposals, select_showing
 from pipeline.diagnose.proposals.imagined import Seen, Wanted, choose_best, imagine_sessions
 from pipeline.diagnose.results import NextRecording
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.posterior import RegionFit
-from pipeline.diagnose.simulation.session import Session
-from pipeline.diagnose.simulation.simulation import Simulation
 
 ENOUGH = 2 * RULES.cause.close
 """Difference of Λ from which a cause stands alone."""
@@ -57,7 +55,9 @@ class Rival:
 
 
 def propose_separating(final: ExtendedFit, rivals: Sequence[Rival]) -> NextRecording | None:
-    """Of a catalogue of tests the one that separates the causes from their closest rival best.
+    """Of a catalogue of tests the one that separates the causes from what may be in their place best.
+
+    Where no test leaves none of the rivals, those that none can tell from the causes are left out, and the text says so.
 
     Parameters
     ----------
@@ -66,26 +66,40 @@ def propose_separating(final: ExtendedFit, rivals: Sequence[Rival]) -> NextRecor
 
     Returns
     -------
-    None where no test would
+    None where no test would separate the causes from any of them
     """
     if not rivals:
         return None
-    believed = _list_variants(final)
-    others = [replace(r, fit=v) for r in rivals for v in (_list_variants(r.fit) if r.fit.of.chosen else [r.fit])]
     causes = [c.mechanism for fit in (final, *(r.fit for r in rivals)) for c in fit.of.chosen[:1]]
-    imagine_session = imagine_sessions(final)
-    best = choose_best(
-        select_showing(list_proposals(final.of.session, WARMER_K), causes),
-        lambda proposal: _judge_proposal(imagine_session(proposal), proposal, believed, others),
-        _WANTED,
-    )
+    proposals = select_showing(list_proposals(final.of.session, WARMER_K), causes)
+    judge = _make_judge(final, rivals)
+
+    def choose(among: Collection[int]) -> SeparationInTest | None:
+        return choose_best(proposals, lambda proposal: judge(proposal, among), _WANTED)
+
+    told: Sequence[int] = range(len(rivals))
+    best = choose(told)
+    if best is None:
+        told = [number for number in told if choose([number]) is not None]
+        best = choose(told) if told else None
+    if best is None and told:
+        told = told[:1]
+        best = choose(told)
     if best is None:
         return None
-    one, other = set(final.of.mechanism_ids), set(rivals[0].find_names())
-    names = " and ".join(" with ".join(sorted(own)) for own in (one - other or one, other - one or other))
     chance = min(1 - math.exp(-best.compute_merit()), RULES.proposal.most_certain)
-    text = f"{best.proposal.text}: tells {names} apart with a probability of {100 * chance:.0f} %"
+    one, other = _find_difference(final, rivals[told[0]])
+    text = f"{best.proposal.text}: tells {one} and {other} apart with a probability of {100 * chance:.0f} %"
+    kept = [_find_difference(final, r)[1] for number, r in enumerate(rivals) if number not in told]
+    text += f", not from {' or '.join(kept)}" if kept else ""
     return NextRecording(best.proposal.designs, text, best.find_separation())
+
+
+def _find_difference(final: ExtendedFit, rival: Rival) -> tuple[str, str]:
+    """Names of what only the causes have, and of what only the rival has."""
+    one, other = set(final.of.mechanism_ids), set(rival.find_names())
+    first, second = (" with ".join(sorted(own)) for own in (one - other or one, other - one or other))
+    return first, second
 
 
 @dataclass(frozen=True)
@@ -142,19 +156,41 @@ class SeparationInTest:
         return replace(self, apart=tuple(pair.multiply(often) for pair in self.apart))
 
 
-def _judge_proposal(
-    made: tuple[Session, Simulation] | None,
-    proposal: Proposal,
-    believed: Sequence[ExtendedFit],
-    others: Sequence[Rival],
-) -> SeparationInTest | None:
-    """What the recordings made after a proposal would say; None where they would have no features."""
-    if made is None:
-        return None
-    seen = [Seen.of_fit(*made, fit) for fit in believed]
-    rivals = [(rival, Seen.of_fit(*made, rival.fit)) for rival in others]
-    apart = [_compute_separation(one, *other) for one in seen for other in rivals]
-    return SeparationInTest(proposal, tuple(apart))
+def _make_judge(
+    final: ExtendedFit, rivals: Sequence[Rival]
+) -> Callable[[Proposal, Collection[int]], SeparationInTest | None]:
+    """What tells how far a proposal separates the causes from some of the rivals, given by their numbers; it tells None where
+    the proposed recordings would have no features.
+
+    Each proposal is simulated once, whichever rivals are asked.
+    """
+    believed = _list_variants(final)
+    others = [
+        (number, replace(r, fit=v))
+        for number, r in enumerate(rivals)
+        for v in (_list_variants(r.fit) if r.fit.of.chosen else [r.fit])
+    ]
+    imagine_session = imagine_sessions(final)
+    known: dict[tuple[Test, ...], list[tuple[int, Separation]] | None] = {}
+
+    def separate(proposal: Proposal) -> list[tuple[int, Separation]] | None:
+        made = imagine_session(proposal)
+        if made is None:
+            return None
+        seen = [Seen.of_fit(*made, fit) for fit in believed]
+        alternatives = [(number, rival, Seen.of_fit(*made, rival.fit)) for number, rival in others]
+        return [
+            (number, _compute_separation(one, rival, other)) for one in seen for number, rival, other in alternatives
+        ]
+
+    def judge(proposal: Proposal, among: Collection[int]) -> SeparationInTest | None:
+        tests = tuple(frozenset(design.items()) for design in proposal.designs)
+        if tests not in known:
+            known[tests] = separate(proposal)
+        pairs = known[tests]
+        return None if pairs is None else SeparationInTest(proposal, tuple(s for n, s in pairs if n in among))
+
+    return judge
 
 
 def _list_variants(fit: ExtendedFit) -> list[ExtendedFit]:

@@ -9,7 +9,7 @@ Raftery 1995), and the prior odds of `RULES.prior`. The verdict, the names and t
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +19,7 @@ from pipeline.diagnose.adequacy import Shortfall
 from pipeline.diagnose.features.kinds import AMPLIFIER
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.extended_model import Extended, ExtendedFit, compose_chosen
+from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit, compose_chosen
 from pipeline.diagnose.search.likelihood import Groups, Linearised, find_absorbed, find_peak, measure_trace
 from pipeline.diagnose.search.regions import Region
 from schemas.arrays import Float
@@ -151,6 +151,12 @@ class Hypothesis:
         return () if self.fit is None else tuple(c.id for c in self.fit.of.chosen)
 
     @property
+    def variants(self) -> tuple[str, ...]:
+        """Variants of its listed causes, sorted as the name is."""
+        chosen = () if self.fit is None else self.fit.of.chosen
+        return tuple(c.variant for c in sorted(chosen, key=lambda c: c.id))
+
+    @property
     def beside(self) -> tuple[str, ...]:
         """Ids of the listed causes that a region is beside."""
         return () if self.region is None else tuple(c.id for c in self.region.plain.of.chosen)
@@ -178,12 +184,16 @@ class Posterior:
 
     @classmethod
     def of(cls, found: Iterable[Hypothesis]) -> Posterior:
-        """The hypotheses, the best of each name."""
-        best: dict[str, Hypothesis] = {}
+        """The hypotheses, one of each name: its best variant, with what is believed of all that the data tell apart as little."""
+        best: dict[tuple[str, tuple[str, ...]], Hypothesis] = {}
         for h in found:
-            if h.name not in best or h.log_evidence > best[h.name].log_evidence:
-                best[h.name] = h
-        return cls(tuple(sorted(best.values(), key=lambda h: -h.log_joint)))
+            key = (h.name, h.variants)
+            if key not in best or h.log_joint > best[key].log_joint:
+                best[key] = h
+        by_name: dict[str, list[Hypothesis]] = {}
+        for h in best.values():
+            by_name.setdefault(h.name, []).append(h)
+        return cls(tuple(rank_hypotheses([_add_up_variants(own) for own in by_name.values()])))
 
     @cached_property
     def probability(self) -> dict[str, float]:
@@ -257,7 +267,7 @@ def weigh_fit(fit: ExtendedFit, *, noise_alone: bool = False) -> Hypothesis:
     return Hypothesis(
         "+".join(sorted(c.id for c in of.chosen)) or (PLAIN if noise_alone else ANYTHING),
         peak.log_likelihood + fit.integrate_mechanisms(peak.covariance),
-        _believe(len(of.chosen), noise_alone=noise_alone),
+        believe(of.chosen, noise_alone=noise_alone),
         fit,
         None,
         peak.weight,
@@ -292,12 +302,26 @@ def compute_change_by_cause(fit: ExtendedFit, number: int) -> Float:
     return of.session.whiten(of.predict(fit.x) - of.simulation.predict(of.model, fit.theta, without))
 
 
-def _believe(causes: int, *, noise_alone: bool) -> float:
-    """Logarithm of what is believed beforehand of so many listed causes."""
+def believe(causes: Sequence[Chosen], *, noise_alone: bool) -> float:
+    """Logarithm of what is believed beforehand.
+
+    Parameters
+    ----------
+    causes : listed ones, whose mechanisms are believed alike, and of each its variants; none: the plain model
+    noise_alone : whether the plain model is believed to miss nothing but noise
+    """
     rules = RULES.prior
     if not causes:
         return float(np.log(rules.plain if noise_alone else rules.anything))
-    return float(np.log(rules.listed / len(MECHANISMS)) + (causes - 1) * np.log(rules.further / len(MECHANISMS)))
+    shares = [rules.listed, *[rules.further] * (len(causes) - 1)]
+    each = [len(MECHANISMS) * len(c.mechanism.variants) for c in causes]
+    return float(np.sum(np.log(shares) - np.log(each)))
+
+
+def _add_up_variants(found: Sequence[Hypothesis]) -> Hypothesis:
+    """The most probable of one name, with the probability of all."""
+    best = max(found, key=lambda h: h.log_joint)
+    return replace(best, log_prior=float(logsumexp([h.log_joint for h in found])) - best.log_evidence)
 
 
 def reweigh_fit(hypothesis: Hypothesis, most: int) -> ExtendedFit:
