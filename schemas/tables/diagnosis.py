@@ -52,7 +52,7 @@ TABLES: tuple[Table, ...] = (
         ),
         key=("specimen_id", "recording_id", "cause", "key", "value_proposed"),
         made_by=(MadeBy("diagnosis"),),
-        pages=("specimen",),
+        pages=("index", "campaign", "specimen"),
     ),
     Table(
         "diagnoses",
@@ -175,7 +175,7 @@ TABLES: tuple[Table, ...] = (
         ),
         key=("specimen_id", "recording_id", "position"),
         made_by=(MadeBy("diagnosis"),),
-        pages=("specimen",),
+        pages=("index", "campaign", "specimen"),
     ),
     Table(
         "diagnosis_curves",

@@ -72,6 +72,7 @@ def test_variants_share_what_is_believed_of_their_mechanism() -> None:
     whole = -7.0 + np.log(RULES.prior.listed / len(MECHANISMS))
     [both] = Posterior.of([one, other, one]).hypotheses
     assert both.log_joint == pytest.approx(whole)
+    assert Posterior.of([one]).hypotheses[0] is one
     [best] = Posterior.of([one, replace(other, log_evidence=-50.0)]).hypotheses
     assert best.log_joint == pytest.approx(whole - np.log(2))
     assert best.log_evidence == -7.0

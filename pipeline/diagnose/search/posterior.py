@@ -321,6 +321,8 @@ def believe(causes: Sequence[Chosen], *, noise_alone: bool) -> float:
 def _add_up_variants(found: Sequence[Hypothesis]) -> Hypothesis:
     """The most probable of one name, with the probability of all."""
     best = max(found, key=lambda h: h.log_joint)
+    if len(found) == 1:
+        return best
     return replace(best, log_prior=float(logsumexp([h.log_joint for h in found])) - best.log_evidence)
 
 
