@@ -51,7 +51,7 @@ class Candidate:
     probability : among the candidates, by the evidence of each with a log-uniform prior of its severity
     severity : main severity by its key in the contract, `parameter`, and its standard deviation
     explained : share of the plain model's misfit that it explains
-    gain : share of the removable held-out error; NaN where it was not asked for
+    gain : share of the held-out squared error beyond the noise; NaN where it was not asked for
     equation, variant : what was tried
     """
 
@@ -85,7 +85,7 @@ class HeldOut:
     """Held-out error of the plain and of the extended model, pooled over the parts left out one by one.
 
     before, after : root mean square in units of the noise
-    gain : share of the removable error that the extension removes, `lower` to `upper` its 95 % interval; NaN where the
+    gain : share of the squared error beyond the noise that the extension removes, `lower` to `upper` its 95 % interval; NaN where the
         plain model's held-out error is within the noise
     size : number of features that were predicted; parts : part left out → (before, after); predicted : block by block
     entries : (parts, Q) the mechanisms' entries in the extended model fitted without each part

@@ -241,7 +241,7 @@ def _compute_rms(squares: Sequence[float], size: int) -> float:
 
 
 def _compute_gain(before: Float | float, after: Float | float, size: Float | float) -> Float:
-    """Share of the removable error that is removed, from −1 to 1."""
+    """Share of the squared error beyond the noise that is removed, from −1 to 1."""
     removable = np.maximum(np.asarray(before) - size, 1e-9)
     return np.asarray(np.clip((np.asarray(before) - after) / removable, -1.0, 1.0))
 

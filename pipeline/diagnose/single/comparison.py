@@ -55,7 +55,7 @@ class RankedModel:
     ----------
     model : the model
     before, after : root mean square error on the part left out, plain model and this one, in units of the noise
-    gain : share of the removable held-out error that it removes, `lower` to `upper` its 95 % interval; NaN where the plain
+    gain : share of the held-out squared error beyond the noise that it removes, `lower` to `upper` its 95 % interval; NaN where the plain
         model's error is within the noise: there is nothing to remove
     explained : share of the misfit to everything that it explains, fitted to everything; NaN where that is within the noise
     beaten : whether the best model predicts better by more than chance
