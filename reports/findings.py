@@ -229,10 +229,12 @@ def what_next(standing: Standing) -> Next | None:
         actions = list_actions(mechanisms)
         whose = [standing.owner] if FOREIGN in mechanisms and standing.owner else []
         return Next("What to do", " ".join([*actions, *whose, *written])) if actions else None
-    if not diagnosis["next_recording"]:
-        return None
-    text = capital(name_causes(str(diagnosis["next_recording"])))
-    return Next("Next recording to make", f"{text.rstrip('.')}.")
+    words = [diagnosis["next_recording"]] if diagnosis["next_recording"] else []
+    heading = "Next recording to make" if words else "What would tell them apart"
+    sentences = [
+        f"{capital(name_causes(str(text))).rstrip('.')}." for text in (*words, *(diagnosis["would_tell"] or ()))
+    ]
+    return Next(heading, " ".join(sentences)) if sentences else None
 
 
 @dataclass(frozen=True)

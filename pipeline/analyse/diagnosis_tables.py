@@ -114,6 +114,7 @@ def _diagnosis_row(d: Diagnosis) -> dict[str, Any]:
         "invisible": list(d.invisible),
         "could_not_ask": list(d.could_not_ask),
         "unexplained": list(d.unexplained),
+        "would_tell": list(d.would_tell),
         "recordings": len(d.residuals),
         "probabilities": json.dumps(dict(d.probabilities)) if d.probabilities else None,
         "stage": d.stage,

@@ -6,7 +6,7 @@ Does not belong here: what is concluded from them (`pipeline.diagnose.judge`).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -107,7 +107,22 @@ def report_session(
         ),
         terms=() if posterior is None else _list_terms(posterior),
         left_p_value=float("nan") if evidence.patterns_after is None else evidence.patterns_after.p_value,
+        would_tell=list_separators(named, others, proposal) if verdict == AMBIGUOUS else (),
     )
+
+
+def list_separators(named: Sequence[str], others: Sequence[str], proposal: NextRecording | None) -> tuple[str, ...]:
+    """What tells named causes from others in words, of the others that the recording to make next does not tell from them.
+
+    Parameters
+    ----------
+    named, others : ids of listed causes
+    proposal : the recording to make next; None: no test of the catalogue tells any of them apart
+    """
+    left = [id for id in others if proposal is None or id in proposal.leaves]
+    known = {(a.id, b): text for a in MECHANISMS.values() for b, text in a.confusable.items()}
+    pairs = [(a, b, known.get((a, b)) or known.get((b, a))) for b in left for a in named]
+    return tuple(f"{a} from {b}: {text}" for a, b, text in pairs if text)
 
 
 def make_context(simulation: Simulation, fit: ExtendedFit) -> Context:

@@ -106,11 +106,12 @@ class HeldOut:
 class NextRecording:
     """A recording, or a few, that would tell causes apart. `designs`: keys of the contract's `recording` block of each,
     and `warmer_k`, how much warmer than now the room is; `text` for people; `separation`: expected difference of χ²
-    between the two closest causes."""
+    between the two closest causes; `leaves`: ids of causes that it does not tell from the strongest."""
 
     designs: tuple[Mapping[str, str | float], ...]
     text: str
     separation: float
+    leaves: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -203,6 +204,7 @@ class Diagnosis:
     faults : what is wrong with recordings and their metadata; their causes come first among the mechanisms, and all
         else is of the recordings without them
     assumed : recording → what its diagnosis takes for granted of it, beside what its own analyses do
+    would_tell : what tells possible causes apart where no recording that is proposed does, in words
     """
 
     specimen_id: str
@@ -231,6 +233,7 @@ class Diagnosis:
     terms: tuple[Term, ...] = ()
     faults: tuple[Fault, ...] = ()
     assumed: Mapping[str, tuple[Assumption, ...]] = field(default_factory=dict)
+    would_tell: tuple[str, ...] = ()
 
     @property
     def is_extended(self) -> bool:

@@ -95,6 +95,7 @@ TABLES: tuple[Table, ...] = (
             ),
             text("stage", "where something acts, most probably: drive, actuation, film, contact, rig, sensor, drift"),
             texts("depends_on", "what it depends on, more probably than not"),
+            texts("would_tell", "what tells causes apart that are possible where no recording that is proposed does"),
         ),
         key=("specimen_id",),
         made_by=(MadeBy("diagnosis"),),

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from pipeline.diagnose.proposals.designs import Proposal
 from pipeline.diagnose.proposals.imagined import Wanted, choose_best
 from pipeline.diagnose.proposals.next_recording import ENOUGH, Separation
+from pipeline.diagnose.report import list_separators
+from pipeline.diagnose.results import NextRecording
 
 SAYS = st.floats(0.0, 1e4)
 AHEAD = st.floats(-9.0, 9.0)
@@ -46,6 +48,17 @@ def test_it_is_the_share_of_recordings_that_leave_both(pair: Separation) -> None
     ahead = np.where(believed_is_true, 1, -1) * (pair.ahead + pair.simpler)
     noise = 2 * np.sqrt(says) * rng.standard_normal(says.size)
     assert np.exp(pair.log_undecided) == pytest.approx(np.mean(says + noise + ahead < ENOUGH), abs=5e-3)
+
+
+def test_what_tells_apart_is_said_of_causes_that_no_proposal_does() -> None:
+    """In the words of either mechanism; a cause without words for it has none."""
+    named, others = ["field_dependent_permittivity"], ["leakage", "drive_offset", "mains_hum"]
+    leakage, offset = list_separators(named, others, None)
+    assert leakage.startswith("field_dependent_permittivity from leakage: ")
+    assert "polarities" in offset
+    proposal = NextRecording(({"protocol": "step"},), "steps", 20.0, leaves=("leakage",))
+    assert list_separators(named, others, proposal) == (leakage,)
+    assert list_separators(named, others, NextRecording(({"protocol": "step"},), "steps", 20.0)) == ()
 
 
 def test_what_says_nothing_leaves_both() -> None:

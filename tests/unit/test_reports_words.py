@@ -203,6 +203,19 @@ def test_the_next_recording_is_a_sentence() -> None:
     assert plain(str(following.body)) == "Three voltage steps: tell “lag of the drive” and slack apart."
 
 
+@pytest.mark.parametrize(
+    ("proposed", "heading"), [(None, "What would tell them apart"), ("weights", "Next recording to make")]
+)
+def test_what_would_tell_causes_apart_is_said_where_no_recording_does(proposed: str | None, heading: str) -> None:
+    d = diagnosis(
+        "ambiguous", next_recording=proposed, would_tell=["drive_lag from slack: the phase at high frequencies"]
+    )
+    following = findings.what_next(Standing("P-07", None, None, None, d))
+    assert following is not None
+    assert following.title == heading
+    assert plain(str(following.body)).endswith("“lag of the drive” from slack: the phase at high frequencies.")
+
+
 def test_findings_without_a_neighbour_take_the_width() -> None:
     wide = Finding("w", (), "named", figure=Figure(Markup(""), ""))
     narrow = Finding("n", (), "named")

@@ -99,6 +99,8 @@ def _describe_diagnosis(row: Row) -> Iterator[str]:
             yield from _list_under("What to do", actions)
     if row["next_recording"]:
         yield from _list_under("Next recording to make", [capital(row["next_recording"])])
+    if row["would_tell"]:
+        yield from _list_under("What would tell causes apart", row["would_tell"])
     yield from _describe_visibility(row)
     if row["verdict"] is not None and row["could_not_ask"]:
         yield from _list_under("What could not be asked", row["could_not_ask"])

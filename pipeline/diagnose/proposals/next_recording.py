@@ -90,9 +90,10 @@ def propose_separating(final: ExtendedFit, rivals: Sequence[Rival]) -> NextRecor
     chance = min(1 - math.exp(-best.compute_merit()), RULES.proposal.most_certain)
     one, other = _find_difference(final, rivals[told[0]])
     text = f"{best.proposal.text}: tells {one} and {other} apart with a probability of {100 * chance:.0f} %"
-    kept = [_find_difference(final, r)[1] for number, r in enumerate(rivals) if number not in told]
-    text += f", not from {' or '.join(kept)}" if kept else ""
-    return NextRecording(best.proposal.designs, text, best.find_separation())
+    left = [r for number, r in enumerate(rivals) if number not in told]
+    text += f", not from {' or '.join(_find_difference(final, r)[1] for r in left)}" if left else ""
+    leaves = tuple(dict.fromkeys(id for r in left for id in r.find_names()))
+    return NextRecording(best.proposal.designs, text, best.find_separation(), leaves)
 
 
 def _find_difference(final: ExtendedFit, rival: Rival) -> tuple[str, str]:
