@@ -237,10 +237,9 @@ def _judge_each(
     if outside - {id for f in told.values() for id in f.recordings}:
         # Of what is left no fault is the reason. A mechanism is, and the others have it as well, but where a recording like theirs has not.
         before_that, told = dict(told), {}
-        peers = [r for r in whole.recordings if r.recording_id not in asked]
         for numbers, fault in before_that.items():
             own = whole.recordings[numbers[0]]
-            if own.blocks and not _has_peer(own, peers):
+            if own.blocks and not _has_peer(own, _list_peers(own, whole, asked)):
                 judge(numbers, partial(judge_together, numbers=numbers, levels=levels, mechanisms=_EVIDENT))
             else:
                 told[numbers] = fault
@@ -305,7 +304,7 @@ def _judge_one(suspect: Suspect, levels: Levels, asked: frozenset[str]) -> Fault
     """The fault of a recording, None where it has none or a mechanism may be at work."""
     session = suspect.session
     own = session.recordings[suspect.number]
-    peers = [r for r in session.recordings if r.recording_id not in asked]
+    peers = _list_peers(own, session, asked)
     is_alike = [(r.protocol, r.loading) == (own.protocol, own.loading) for r in peers]
     mechanisms = _LAGGING if suspect.is_electrical and not any(is_alike) else _EXPECTED
     if _has_peer(own, peers):
@@ -349,6 +348,15 @@ def _agrees_later(number: int, session: Session, asked: frozenset[str]) -> bool:
     """Whether a recording of the same loading that comes after this one agrees with the others."""
     own = session.recordings[number]
     return any(r.loading == own.loading and r.recording_id not in asked for r in session.recordings[number + 1 :])
+
+
+def _list_peers(own: RecordingFeatures, session: Session, asked: frozenset[str]) -> list[RecordingFeatures]:
+    """Recordings of the same loading that agree with the others; none where more of them do not: those few may be what the film was
+    fitted to, and say nothing of what a mechanism does at other levels.
+    """
+    alike = [r for r in session.recordings if r.loading == own.loading]
+    agreeing = [r for r in alike if r.recording_id not in asked]
+    return agreeing if 2 * len(agreeing) >= len(alike) else []
 
 
 def _has_peer(own: RecordingFeatures, others: Sequence[RecordingFeatures]) -> bool:

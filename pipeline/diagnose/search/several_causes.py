@@ -7,6 +7,7 @@ before it leave. Forward steps propose, dropping each cause in turn takes back, 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -55,6 +56,7 @@ def add_causes(singles: Sequence[Hypothesis], changes: Secants) -> list[Hypothes
     bases = choose_bases(singles)
     for _ in range(1, RULES.cause.most):
         more = [h for base in bases if len(base.causes) < RULES.cause.most for h in _add_cause(base, changes)]
+        more += _try_beside_others(more, bases)
         found += more
         bases = [h for h in rank_hypotheses(more)[:1] if h.log_joint > bases[0].log_joint] if bases else []
         if not bases:
@@ -119,6 +121,32 @@ def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
         if scores and signatures.reaches(scores[0].statistic, RULES.cause.level):
             found += [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, _EACH))]
     return settle_hypotheses(found)
+
+
+def _try_beside_others(found: Sequence[Hypothesis], bases: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses of a further cause that shows beside one base, beside the other bases.
+
+    Bases that do nearly as well leave a further cause to be seen by a little more or a little less; where only one of them had it tried
+    beside it, that one would be believed for nothing else.
+
+    Parameters
+    ----------
+    found : of a base and a further cause, which is the last of its fit
+    bases : the bases
+    """
+    known = {frozenset(h.causes) for h in found}
+    best = max((h.log_joint for h in found), default=0.0)
+    near = rank_hypotheses([h for h in found if h.log_joint > best - RULES.fit.close_call])
+    tried = []
+    for base in bases:
+        wanted = {h.causes[-1]: h.model for h in near[::-1] if frozenset((*base.causes, h.causes[-1])) not in known}
+        further = {id: fit for id, fit in wanted.items() if id not in base.causes}
+        fit = reweigh_fit(base, _ROUGHLY) if further else base.model
+        for other in further.values():
+            of = replace(fit.of, chosen=(*fit.of.chosen, other.of.chosen[-1]))
+            start = of.make_entries(fit.theta, (*fit.values, other.values[-1]))
+            tried.append(weigh_fit(finish_fit(of.fit(start, most=_ROUGHLY))))
+    return settle_hypotheses(tried)
 
 
 def _take_back(found: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> list[Hypothesis]:
