@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism
+from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism, fit_mechanism
 from pipeline.diagnose.search.posterior import Posterior, settle_hypotheses, weigh_fit
 from pipeline.diagnose.search.screen import compute_secants, compute_signatures, find_best_scores
-from pipeline.diagnose.search.several_causes import add_causes
+from pipeline.diagnose.search.several_causes import _try_beside_others, add_causes
 from pipeline.diagnose.search.tempering import temper_weights
 from tests.helpers.truth_rig import Effect
 from tests.physics.test_regions import plain_model
@@ -41,3 +41,19 @@ def test_two_effects_are_two_causes() -> None:
     # A current that flows at once behind the monitor takes from V² as that permittivity does: no recorded channel tells them apart.
     alike = ("baseline_drift+field_dependent_permittivity", "baseline_drift+leakage")
     assert sum(found.probability.get(name, 0.0) for name in alike) > RULES.verdict.credible
+
+
+@pytest.mark.slow
+def test_what_shows_beside_one_base_is_tried_beside_the_others() -> None:
+    """A cause that was seen beside one of two bases alike made that one sure: beside the other it had not been tried."""
+    noise_fit = plain_model(331, Effect("field_dependent_permittivity", 0.05), Effect("baseline_drift", 0.05))
+    signatures = compute_signatures(compute_secants(noise_fit), noise_fit)
+    scores = {s.chosen.id: s for s in find_best_scores(signatures)}
+    field, offset = (
+        weigh_fit(fit_mechanism(noise_fit, scores[id], signatures))
+        for id in ("field_dependent_permittivity", "drive_offset")
+    )
+    both = weigh_fit(fit_mechanism(field.model, scores["baseline_drift"], signatures))
+    [other] = _try_beside_others([both], [field, offset])
+    assert other.causes == ("drive_offset", "baseline_drift")
+    assert other.log_evidence > offset.log_evidence
