@@ -47,7 +47,8 @@ def state_faults(diagnosis: Diagnosis, faults: Sequence[Fault]) -> Diagnosis:
 def _combine(diagnosis: Diagnosis, faults: Sequence[Fault]) -> dict[str, float]:
     """Probabilities of the faults with what is behind the sound recordings, and without."""
     found: dict[tuple[str, ...], float] = {
-        () if name == PLAIN else (name,): p for name, p in (diagnosis.probabilities or {PLAIN: 1.0}).items()
+        () if name == PLAIN else tuple(name.split("+")): p
+        for name, p in (diagnosis.probabilities or {PLAIN: 1.0}).items()
     }
     for fault in reversed(faults):
         other = next((id for id in (*(c.cause for c in fault.corrections), *fault.alike) if id != fault.cause), "")
