@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copyreg
+import gc
 import os
 import signal
 import subprocess
@@ -116,6 +117,18 @@ def test_going_round_for_ever_ends_within_a_second_of_work(path: Path) -> None:
     with pytest.raises(RefusedError, match="does not come to an end"):
         apart(path, forever)
     assert time.process_time() - before < 0.5, "the parent only waits"
+
+
+def test_what_the_parent_holds_costs_a_child_no_time(path: Path) -> None:
+    """A sound workbook was refused in a process of many objects: a collection went through them all, on the file's time."""
+    held = [[i] for i in range(10_000)]
+
+    def count_collected() -> tuple[int, bool]:
+        return len(gc.get_objects()), any(o is held for o in gc.get_objects())
+
+    counted, is_seen = apart(path, count_collected)
+    assert counted < len(held)
+    assert not is_seen
 
 
 def test_the_calls_for_one_file_share_its_time(path: Path) -> None:
