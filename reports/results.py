@@ -102,6 +102,8 @@ class Results:
                 self._connection.execute(f"SET {setting}")
             named = "SELECT table_name FROM duckdb_tables() UNION ALL SELECT view_name FROM duckdb_views()"
             found = {name for (name,) in self._connection.execute(named).fetchall()}
+            columns = "SELECT concat(table_name, '.', column_name) FROM duckdb_columns()"
+            found |= {name for (name,) in self._connection.execute(columns).fetchall()}
         except duckdb.Error as error:
             raise LabError(
                 f"the database cannot be read: {str(error).splitlines()[0]}",
@@ -109,10 +111,14 @@ class Results:
                 remedy=f"`dealab doctor --lab {quote_path(str(lab))}` says more; the next nightly over all raw folders builds it anew",
             ) from error
         missing = sorted({*TABLES, *(view.name for view in VIEWS if not view.parameters)} - found)
+        what = "table"
+        if not missing:
+            missing = sorted({f"{table.name}.{column}" for table in TABLES.values() for column in table.names} - found)
+            what = "column"
         if missing:
             self._connection.close()
             raise LabError(
-                f"the database has no table {', '.join(missing)}",
+                f"the database has no {what} {', '.join(missing)}",
                 where=str(self.path),
                 remedy="It was made by another version of dealab: run the nightly again",
             )

@@ -385,6 +385,17 @@ def test_database_of_another_version(tmp_path: Path) -> None:
         build_reports(tmp_path)
 
 
+def test_database_of_an_earlier_version_without_a_column(tmp_path: Path) -> None:
+    """The page of a specimen ended in a KeyError, and the report was not whole."""
+    story = synthetic_lab.Story()
+    story.run()
+    lab = story.write(tmp_path / "lab")
+    with duckdb.connect(str(lab / "results.duckdb")) as connection:
+        connection.execute("ALTER TABLE diagnoses DROP COLUMN would_tell")
+    with pytest.raises(LabError, match=r"has no column diagnoses\.would_tell"):
+        build_reports(lab)
+
+
 def work(lab: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[int, int, int]:
     """Pages that a build makes, the queries it asks and the rows it gets."""
     asked: list[int] = []
