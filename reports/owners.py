@@ -6,6 +6,7 @@ Does not belong here: that it is foreign, which the diagnosis finds of the speci
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -31,19 +32,24 @@ def find_owners(results: Results, where: Query) -> dict[str, str]:
             where.parameters,
         )
     )
+    if not rows:
+        return {}
+    responses = {
+        r["specimen_id"]: measured(results, r["specimen_id"], "mechanical") for r in results.rows(_MEASURED_SQL)
+    }
     said: dict[str, list[str]] = {}
     for row in rows:
-        said.setdefault(row["specimen_id"], []).append(_tell(results, row["specimen_id"], row["recording_id"]))
+        said.setdefault(row["specimen_id"], []).append(_tell(responses, row["specimen_id"], row["recording_id"]))
     return {specimen: text for specimen, texts in said.items() if (text := " ".join(filter(None, texts)))}
 
 
-def _tell(results: Results, specimen: str, recording: str) -> str:
-    lines = _own(measured(results, specimen, "mechanical"), recording)
+def _tell(responses: Mapping[str, Measured], specimen: str, recording: str) -> str:
+    own = responses.get(specimen)
+    lines = None if own is None else _own(own, recording)
     if lines is None:
         return ""
-    others = [r["specimen_id"] for r in results.rows(Query(_OTHERS_SQL, {"specimen": specimen}))]
     distances = {
-        name: d for name in others if (d := _compare(lines, measured(results, name, "mechanical"))) is not None
+        name: d for name, other in responses.items() if name != specimen and (d := _compare(lines, other)) is not None
     }
     near = sorted((n for n, (off, own) in distances.items() if off <= _AS_NEAR * own), key=lambda n: distances[n])
     if not near:
@@ -55,9 +61,9 @@ def _tell(results: Results, specimen: str, recording: str) -> str:
     return f"{short(recording, 60)} has the response of {names}; of the {asked} here with such lines no other has it."
 
 
-_OTHERS_SQL = """SELECT DISTINCT specimen_id
+_MEASURED_SQL = """SELECT DISTINCT specimen_id
 FROM frequency_responses
-WHERE loading = 'mechanical' AND specimen_id <> $specimen
+WHERE loading = 'mechanical' AND specimen_id IS NOT NULL
 ORDER BY specimen_id"""
 
 
