@@ -75,7 +75,7 @@ def _tell_left_out(path: Path, mapping: FileMapping) -> Iterator[str]:
 def _describe_content(path: Path, mapping: FileMapping, rigs: Path | None, *, several: bool) -> Iterator[str]:
     raw = read_raw(path, mapping)
     if isinstance(raw, RawRecording):
-        recording = check(raw, path)
+        recording = check(raw, path, rigs=rigs)
         yield from _describe_recording(recording)
         if absent := tell_absent(recording, path, rigs):
             yield f"  note       {absent}"
