@@ -120,8 +120,7 @@ def list_separators(named: Sequence[str], others: Sequence[str], proposal: NextR
     proposal : the recording to make next; None: no test of the catalogue tells any of them apart
     """
     left = [id for id in others if proposal is None or id in proposal.leaves]
-    known = {(a.id, b): text for a in MECHANISMS.values() for b, text in a.confusable.items()}
-    pairs = [(a, b, known.get((a, b)) or known.get((b, a))) for b in left for a in named]
+    pairs = [(a, b, MECHANISMS[a].confusable.get(b) or MECHANISMS[b].confusable.get(a)) for b in left for a in named]
     return tuple(f"{a} from {b}: {text}" for a, b, text in pairs if text)
 
 

@@ -57,7 +57,8 @@ class Rival:
 def propose_separating(final: ExtendedFit, rivals: Sequence[Rival]) -> NextRecording | None:
     """Of a catalogue of tests the one that separates the causes from what may be in their place best.
 
-    Where no test leaves none of the rivals, those that none can tell from the causes are left out, and the text says so.
+    Where no test separates the causes from all rivals, it is chosen for those rivals that some test can separate from them; where no
+    single one does that either, for the most probable of these. The text says from which rivals it does not tell the causes.
 
     Parameters
     ----------

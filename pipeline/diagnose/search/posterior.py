@@ -184,7 +184,7 @@ class Posterior:
 
     @classmethod
     def of(cls, found: Iterable[Hypothesis]) -> Posterior:
-        """The hypotheses, one of each name: its best variant, with what is believed of all that the data tell apart as little."""
+        """The hypotheses, one of each name: its best variant, with the probability of all variants that were fitted."""
         best: dict[tuple[str, tuple[str, ...]], Hypothesis] = {}
         for h in found:
             key = (h.name, h.variants)

@@ -136,15 +136,20 @@ def _try_beside_others(found: Sequence[Hypothesis], bases: Sequence[Hypothesis])
     """
     known = {frozenset(h.causes) for h in found}
     best = max((h.log_joint for h in found), default=0.0)
-    near = rank_hypotheses([h for h in found if h.log_joint > best - RULES.fit.close_call])
+    near = [h for h in rank_hypotheses(found) if h.log_joint > best - RULES.fit.close_call]
+    # Of each further cause the fit that does best is the last, and stays.
+    fits = {h.causes[-1]: h.model for h in reversed(near)}
     tried = []
     for base in bases:
-        wanted = {h.causes[-1]: h.model for h in near[::-1] if frozenset((*base.causes, h.causes[-1])) not in known}
-        further = {id: fit for id, fit in wanted.items() if id not in base.causes}
-        fit = reweigh_fit(base, _ROUGHLY) if further else base.model
-        for other in further.values():
-            of = replace(fit.of, chosen=(*fit.of.chosen, other.of.chosen[-1]))
-            start = of.make_entries(fit.theta, (*fit.values, other.values[-1]))
+        further = [
+            fit for id, fit in fits.items() if id not in base.causes and frozenset((*base.causes, id)) not in known
+        ]
+        if not further:
+            continue
+        beside = reweigh_fit(base, _ROUGHLY)
+        for fit in further:
+            of = replace(beside.of, chosen=(*beside.of.chosen, fit.of.chosen[-1]))
+            start = of.make_entries(beside.theta, (*beside.values, fit.values[-1]))
             tried.append(weigh_fit(finish_fit(of.fit(start, most=_ROUGHLY))))
     return settle_hypotheses(tried)
 
