@@ -8,7 +8,7 @@ from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism, fit_mechanism
 from pipeline.diagnose.search.posterior import Posterior, settle_hypotheses, weigh_fit
 from pipeline.diagnose.search.screen import compute_secants, compute_signatures, find_best_scores
-from pipeline.diagnose.search.several_causes import _try_beside_others, add_causes
+from pipeline.diagnose.search.several_causes import _add_cause, _try_beside_others, add_causes
 from pipeline.diagnose.search.tempering import temper_weights
 from tests.helpers.truth_rig import Effect
 from tests.physics.test_regions import plain_model
@@ -57,3 +57,17 @@ def test_what_shows_beside_one_base_is_tried_beside_the_others() -> None:
     [other] = _try_beside_others([both], [field, offset])
     assert other.causes == ("drive_offset", "baseline_drift")
     assert other.log_evidence > offset.log_evidence
+
+
+@pytest.mark.slow
+def test_what_the_likelihood_takes_for_louder_noise_is_asked_as_a_cause() -> None:
+    """Mains hum of half a newton had a probability of e¹¹⁰ to one beside a permittivity, and was never fitted there."""
+    noise_fit = plain_model(331, Effect("field_dependent_permittivity", 0.05), Effect("mains_hum", 0.5))
+    changes = compute_secants(noise_fit)
+    signatures = compute_signatures(changes, noise_fit)
+    scores = {s.chosen.id: s for s in find_best_scores(signatures)}
+    [base] = settle_hypotheses(
+        [weigh_fit(fit_mechanism(noise_fit, scores["field_dependent_permittivity"], signatures))]
+    )
+    found = {h.causes: h.log_joint for h in _add_cause(base, changes)}
+    assert found["field_dependent_permittivity", "mains_hum"] > base.log_joint + 50

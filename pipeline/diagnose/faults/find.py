@@ -55,6 +55,9 @@ _LAGGING = Mechanisms(_EACH_WAY, as_film=_EACH_WAY, as_delay=_EACH_WAY)
 """The same of electrical tests, which alone are late where the drive lags."""
 _EVIDENT = Mechanisms(0.25, as_film=0.25, as_scale=0.25, as_delay=0.25)
 """Where other recordings show one: in which of the ways is as likely as in another."""
+_AT_WORK = Mechanisms(0.25)
+"""The same beside a recording like it that agrees with the others: as another film, a factor or a delay it would show there as well, but
+the film may have been strained, driven or warmed since."""
 
 
 @dataclass(frozen=True)
@@ -234,13 +237,18 @@ def _judge_each(
             told[number,] = _state_dead(recording)
         elif recording.recording_id in asked - together:
             judge((number,), partial(_judge_one, levels=levels[recording.recording_id], asked=asked))
-    if outside - {id for f in told.values() for id in f.recordings}:
-        # Of what is left no fault is the reason. A mechanism is, and the others have it as well, but where a recording like theirs has not.
+    left = outside - {id for f in told.values() for id in f.recordings}
+    if left:
+        # Of what is left no fault is the reason. A mechanism is, and the others may have it as well: those like which none is without it,
+        # and those of the same kind of test.
+        at_work = {(r.protocol, r.loading) for r in whole.recordings if r.recording_id in left}
         before_that, told = dict(told), {}
         for numbers, fault in before_that.items():
             own = whole.recordings[numbers[0]]
-            if own.blocks and not _has_peer(own, _list_peers(own, whole, asked)):
-                judge(numbers, partial(judge_together, numbers=numbers, levels=levels, mechanisms=_EVIDENT))
+            has_peer = _has_peer(own, _list_peers(own, whole, asked))
+            if own.blocks and (not has_peer or (own.protocol, own.loading) in at_work):
+                mechanisms = _AT_WORK if has_peer else _EVIDENT
+                judge(numbers, partial(judge_together, numbers=numbers, levels=levels, mechanisms=mechanisms))
             else:
                 told[numbers] = fault
     return list(told.values()), list(doubts.values())

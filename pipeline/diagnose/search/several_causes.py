@@ -22,11 +22,9 @@ from pipeline.diagnose.search.fit_mechanisms import (
     temper_fit,
 )
 from pipeline.diagnose.search.form_functions import is_form_of
-from pipeline.diagnose.search.likelihood import Groups
 from pipeline.diagnose.search.posterior import (
     Hypothesis,
     Posterior,
-    measure_trace_of_causes,
     rank_hypotheses,
     reweigh_fit,
     settle_hypotheses,
@@ -106,16 +104,13 @@ def try_causes_of_form(
 def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
     """The causes of a base with one more, where what they leave shows one.
 
-    What contradicts the base altogether hardly weighs in its likelihood any more. Where there is such a group of features, and the base
-    does less than the noise in it, so that this is no form of its causes, another one is looked for as the first one was, too: under
-    weights by which every block may be wrong by a share of its misfit.
+    It is looked for under two kinds of weights. Under those of the base's own likelihood, what is the wrong form of its causes counts for
+    little; but so does what another cause does, for to that likelihood it is noise that is louder, or something that nobody has thought of.
+    So it is looked for as the first one was, too: under weights by which every block may be wrong by a share of its misfit.
     """
-    fits = [reweigh_fit(base, _ROUGHLY)]
-    touched = measure_trace_of_causes(base.model, Groups.of(base.model.of.session)) > 1
-    if np.any(~touched & (base.odd > RULES.adequacy.something_else)):
-        fits.append(temper_fit(fits[0]))
-    found = []
-    for fit in fits:
+    own = reweigh_fit(base, _ROUGHLY)
+    found: list[Hypothesis] = []
+    for fit in (own, temper_fit(own)):
         signatures = compute_signatures(changes, fit)
         scores = find_best_scores(signatures)
         if scores and signatures.reaches(scores[0].statistic, RULES.cause.level):
