@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.diagnose.faults.another_film import Doubt, list_unexplained, weigh_doubts
 from pipeline.diagnose.faults.find import Checked, check_recordings
 from pipeline.diagnose.faults.fitted import fit_session
+from pipeline.diagnose.faults.sized import believe_sizes, find_doubt, replace_doubt, weigh_sizes
 from pipeline.diagnose.faults.state import state_faults
 from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.judge import judge_session
@@ -90,6 +91,8 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     unexplained = list_unexplained(checked.doubts, checked.session, evidence)
     if unexplained:
         checked, evidence = _ask_without(unexplained, checked, evidence)
+    # Sizes may seem wrong only as long as no cause is at work.
+    checked, evidence = _ask_as_sized(checked, evidence)
     # 7. The verdict, and 8. parts are left out and predicted: with the named causes, or the function of what has no name.
     verdict = judge_session(evidence)
     final = None if verdict == UNKNOWN else evidence.final
@@ -125,6 +128,18 @@ def _ask_without(doubts: Sequence[Doubt], checked: Checked, evidence: Evidence) 
     if any(f.sets_aside for f in faults):
         return Checked(*rest, (*checked.faults, *faults)), without
     return replace(checked, faults=(*checked.faults, *faults)), evidence
+
+
+def _ask_as_sized(checked: Checked, evidence: Evidence) -> tuple[Checked, Evidence]:
+    """The session with the actuation that its sizes promise, where that is the more probable; with what that says of them."""
+    doubt = find_doubt(checked.faults)
+    if doubt is None or evidence.best is None:
+        return checked, evidence
+    sized = _ask(replace(checked, plain=believe_sizes(checked.plain)))
+    wrong = weigh_sizes(evidence, sized)
+    if wrong > 1 / 2:
+        return checked, evidence
+    return replace(checked, faults=replace_doubt(checked.faults, doubt, wrong)), sized
 
 
 def _search_causes(of: Extended, plain: PlainFit) -> Evidence:

@@ -15,7 +15,7 @@ from itertools import takewhile
 import numpy as np
 
 from pipeline.diagnose.mechanisms import MECHANISMS, SEVERITY, Mechanism, Parameter
-from pipeline.diagnose.mechanisms.drive import DRIVE_LAG, MONITORED
+from pipeline.diagnose.mechanisms.drive import DRIVE_LAG, FURTHER, MONITORED
 from pipeline.diagnose.search.plain_fit import compute_deviations, make_bounds
 from pipeline.diagnose.simulation.effects import NONE, Effect
 from pipeline.diagnose.simulation.parameters import BaseModel
@@ -47,6 +47,16 @@ class Chosen:
     def mechanism(self) -> Mechanism:
         """The entry of the list."""
         return MECHANISMS[self.id]
+
+    @property
+    def is_of_amplifier(self) -> bool:
+        """Whether it is the lag of the amplifier, as far as the monitor shows it."""
+        return (self.id, self.variant) == (DRIVE_LAG.id, MONITORED)
+
+    @property
+    def is_monitored_lag(self) -> bool:
+        """Whether it is a lag that the monitor shows, in part at least."""
+        return self.id == DRIVE_LAG.id and self.variant in (MONITORED, FURTHER)
 
 
 @dataclass(frozen=True)
@@ -159,11 +169,11 @@ class Extended:
     @property
     def leaves_film(self) -> bool:
         """Whether none of its mechanisms may have to do with film and rig, which are then as in the plain model."""
-        return all(map(_is_of_amplifier, self.chosen))
+        return all(c.is_of_amplifier for c in self.chosen)
 
     def is_lag(self, number: int) -> bool:
         """Whether one of its mechanisms is a lag of the amplifier, which has nothing to do with film and rig."""
-        return _is_of_amplifier(self.chosen[number])
+        return self.chosen[number].is_of_amplifier
 
     @property
     def settled(self) -> int:
@@ -171,7 +181,7 @@ class Extended:
         hardly bend, and a lag of the amplifier before other mechanisms. That is read off command and measured voltage alone, whatever the
         others do.
         """
-        first = sum(1 for _ in takewhile(_is_of_amplifier, self.chosen))
+        first = sum(1 for _ in takewhile(lambda c: c.is_of_amplifier, self.chosen))
         of_lag = sum(c.owner < first for c in self.coordinates) if first < len(self.chosen) else 0
         return self.model.size + of_lag
 
@@ -324,11 +334,6 @@ class Extended:
         """The same model over another session."""
         quiet = self.quiet if session is self.session else None
         return replace(self, session=session, simulation=simulation, weight=weight, quiet=quiet)
-
-
-def _is_of_amplifier(chosen: Chosen) -> bool:
-    """Whether a mechanism is the lag of the amplifier, as far as the monitor shows it."""
-    return (chosen.id, chosen.variant) == (DRIVE_LAG.id, MONITORED)
 
 
 @dataclass(frozen=True)

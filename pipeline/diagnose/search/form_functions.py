@@ -33,6 +33,7 @@ from pipeline.diagnose.search.posterior import (
     compute_change_by_cause,
     compute_change_by_causes,
     measure_trace_of_causes,
+    share_of_next,
 )
 from pipeline.diagnose.search.regions import STEP, Region, list_regions
 from schemas.arrays import Bool, Float
@@ -104,7 +105,7 @@ def weigh_regions(base: Hypothesis, changes: Sequence[RegionChange]) -> list[Hyp
     changes = [c for c in changes if not any(is_form_of(c.region, m) for m in own)]
     believed = RULES.prior
     # What has no name is as rare beside a cause as it is alone, against the listed causes.
-    beside = base.log_prior + np.log(believed.further / believed.listed) if base.causes else 0.0
+    beside = base.log_prior + np.log(share_of_next(fit.of.chosen) / believed.listed) if base.causes else 0.0
     prior = float(np.log(believed.unnamed / max(len(changes), 1)) + beside)
     name = f"{base.name}+" if base.causes else ""
     about = _About(

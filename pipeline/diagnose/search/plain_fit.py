@@ -182,7 +182,7 @@ def begin_arm(session: Session, model: BaseModel, theta: Float, ratio: float, ti
 
 def _make_model_like(session: Session, model: BaseModel, arms: int) -> BaseModel:
     """A plain model that is as free as another, with so many arms."""
-    own = replace(session.base_model(arms), sensing=model.sensing)
+    own = replace(session.base_model(arms), sensing=model.sensing, is_sized=model.is_sized)
     return own.widened if model.is_widened else own
 
 

@@ -309,13 +309,28 @@ def believe(causes: Sequence[Chosen], *, noise_alone: bool) -> float:
     ----------
     causes : listed ones, whose mechanisms are believed alike, and of each its variants; none: the plain model
     noise_alone : whether the plain model is believed to miss nothing but noise
+
+    Notes
+    -----
+    Every amplifier lags a little: that one does says nothing of the film, and beside its lag a cause is as likely, against none, as it is
+    alone.
     """
     rules = RULES.prior
     if not causes:
         return float(np.log(rules.plain if noise_alone else rules.anything))
-    shares = [rules.listed, *[rules.further] * (len(causes) - 1)]
+    # The lag of the amplifier first, whatever is beside it.
+    ordered = sorted(causes, key=lambda c: not c.is_monitored_lag)
+    shares = [share_of_next(ordered[:i]) for i in range(len(ordered))]
     each = [len(MECHANISMS) * len(c.mechanism.variants) for c in causes]
     return float(np.sum(np.log(shares) - np.log(each)))
+
+
+def share_of_next(causes: Sequence[Chosen]) -> float:
+    """Probability beforehand that a listed cause is there beside some, of which each is as likely."""
+    rules = RULES.prior
+    if not causes:
+        return rules.listed
+    return rules.listed / rules.plain if all(c.is_monitored_lag for c in causes) else rules.further
 
 
 def _add_up_variants(found: Sequence[Hypothesis]) -> Hypothesis:

@@ -141,6 +141,7 @@ class BaseModel:
 
     loaded : the rig that each rig is, itself or an earlier one, which has its entries, and the known mass on its clamp, N s²/mm
     sensing : what the sensing region follows under a voltage: `STRAIN`, `TENSION` or `STRESS`
+    is_sized : whether sizes and permittivity are believed whatever θ says of the actuation
     """
 
     arms: int
@@ -149,6 +150,7 @@ class BaseModel:
     rigs: tuple[RigPrior | None, ...]
     loaded: tuple[tuple[int, float], ...]
     sensing: str = STRAIN
+    is_sized: bool = False
 
     @property
     def size(self) -> int:
@@ -210,7 +212,8 @@ class BaseModel:
         return theta
 
     def free_actuation(self, theta: Float, far: float) -> BaseModel:
-        """The model that does not believe what sizes and permittivity say of the actuation, where θ contradicts it.
+        """The model that does not believe what sizes and permittivity say of the actuation, where θ contradicts it; itself where it
+        `is_sized`.
 
         Where the sizes can be read in two ways, the other one is believed before none is.
 
@@ -220,7 +223,7 @@ class BaseModel:
         far : standard deviations from which it is contradicted
         """
         place = self.index(ACTUATION)
-        if place is None or not abs(theta[place] - self.prior_mean[place]) > far * self.prior_sd[place]:
+        if self.is_sized or place is None or not abs(theta[place] - self.prior_mean[place]) > far * self.prior_sd[place]:
             return self
         entries, entry = list(self.entries), self.entries[place]
         if entry.also is not None and abs(theta[place] - entry.also) <= far * entry.sd:
