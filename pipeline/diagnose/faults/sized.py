@@ -19,6 +19,9 @@ from pipeline.diagnose.search.evidence import Evidence
 from pipeline.diagnose.search.plain_fit import PlainFit
 from pipeline.diagnose.simulation.parameters import ACTUATION
 
+_LEAST = 1e-6
+"""Least standard deviation of the logarithm of the actuation, over that of its promise: a fit says 0 where it was not computed."""
+
 
 def find_doubt(faults: Sequence[Fault]) -> Fault | None:
     """The fault that sizes are wrong by a factor that is no usual slip; None where there is none."""
@@ -47,8 +50,8 @@ def weigh_sizes(freed: Evidence, sized: Evidence) -> float:
     if place is None or best is None:
         return RULES.fault.no_slip
     sd = float(model.prior_sd[place])
-    known = float(np.sqrt(max(best.model.covariance[place, place], 0.0)))
-    both = 1 / np.hypot(1 / sd, 1 / max(known, 1e-6 * sd))
+    known = max(float(np.sqrt(max(best.model.covariance[place, place], 0.0))), _LEAST * sd)
+    both = 1 / np.hypot(1 / sd, 1 / known)
     log_volume_sized = float(np.log(both / sd))
     log_volume_freed = float(np.log(np.sqrt(2 * np.pi) * min(known, RULES.fault.anywhere) / RULES.fault.anywhere))
     wrong = freed.log_evidence + log_volume_freed + float(np.log(RULES.fault.prior))
