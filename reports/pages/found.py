@@ -92,6 +92,10 @@ def limits(results: Results, campaign: str | None = None, *, specimen: str | Non
             "specimen_id IN (SELECT specimen_id FROM recordings WHERE campaign = $item)",
             {"item": campaign},
         )
+    wrinkled, migrated = (
+        specimen is None or results.has(table, "specimen_id", specimen)
+        for table in ("sensing_fits", "electrode_migrations")
+    )
     found = [
         Limit(
             r["specimen_id"],
@@ -100,10 +104,10 @@ def limits(results: Results, campaign: str | None = None, *, specimen: str | Non
             "steps",
             "wrinkling",
         )
-        for r in results.rows(Query(_WRINKLING_SQL.format(where=where), parameters))
+        for r in (results.rows(Query(_WRINKLING_SQL.format(where=where), parameters)) if wrinkled else ())
     ]
     seen: set[str] = set()
-    for r in results.rows(Query(_MIGRATION_SQL.format(where=where), parameters)):
+    for r in results.rows(Query(_MIGRATION_SQL.format(where=where), parameters)) if migrated else ():
         if r["specimen_id"] not in seen:
             seen.add(r["specimen_id"])
             found.append(

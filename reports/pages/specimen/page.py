@@ -72,14 +72,19 @@ def page(site: Site, specimen: str) -> Page:
     metadata = flat_metadata(used[-1]["metadata"]) if used else {}
     row = found[0] if found else None
     own = Query("specimen_id = $specimen", {"specimen": specimen})
+
+    def holds(table: str) -> bool:
+        """Whether a table has rows of the specimen."""
+        return results.has(table, "specimen_id", specimen)
+
     standing = stand(
         specimen,
         used,
         fits,
         row,
-        negative=find_negative(results, own).get(specimen, ""),
-        taps=specimen in find_tapped(results, own),
-        owner=find_owners(results, own).get(specimen, ""),
+        negative=find_negative(results, own).get(specimen, "") if holds("discrepancies") else "",
+        taps=holds("diagnosis_blocks") and specimen in find_tapped(results, own),
+        owner=find_owners(results, own).get(specimen, "") if holds("corrections") else "",
     )
     failed = results.rows(
         Query(
