@@ -18,7 +18,9 @@ from pipeline.diagnose.simulation.parameters import ACTUATION
 from tests.helpers.truth_rig import Effect
 from tests.physics.test_regions import plain_model
 
-DOUBT = Fault(SIZE_WRONG, ("r-1",), RULES.fault.no_slip, "the voltage acts 0.7 times as strongly", alike=("gain_error",))
+DOUBT = Fault(
+    SIZE_WRONG, ("r-1",), RULES.fault.no_slip, "the voltage acts 0.7 times as strongly", alike=("gain_error",)
+)
 SLIP = replace(DOUBT, probability=RULES.fault.named, alike=())
 OTHER = Fault(UNIT_SLIP, ("r-2",), 1.0, "the force is recorded 1000 times too large")
 

@@ -223,7 +223,11 @@ class BaseModel:
         far : standard deviations from which it is contradicted
         """
         place = self.index(ACTUATION)
-        if self.is_sized or place is None or not abs(theta[place] - self.prior_mean[place]) > far * self.prior_sd[place]:
+        if (
+            self.is_sized
+            or place is None
+            or not abs(theta[place] - self.prior_mean[place]) > far * self.prior_sd[place]
+        ):
             return self
         entries, entry = list(self.entries), self.entries[place]
         if entry.also is not None and abs(theta[place] - entry.also) <= far * entry.sd:
