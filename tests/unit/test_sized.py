@@ -13,10 +13,7 @@ from pipeline.diagnose.faults.fault import SIZE_WRONG, UNIT_SLIP, Fault
 from pipeline.diagnose.faults.sized import find_doubt, replace_doubt, weigh_sizes
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.evidence import Evidence
-from pipeline.diagnose.search.order import begin_arm
 from pipeline.diagnose.simulation.parameters import ACTUATION
-from tests.helpers.truth_rig import Effect
-from tests.physics.test_regions import plain_model
 
 DOUBT = Fault(
     SIZE_WRONG, ("r-1",), RULES.fault.no_slip, "the voltage acts 0.7 times as strongly", alike=("gain_error",)
@@ -51,17 +48,3 @@ def test_only_a_factor_that_is_no_usual_slip_is_a_doubt() -> None:
 def test_a_doubt_that_is_excluded_is_said_no_more_and_one_that_is_not_stays() -> None:
     assert replace_doubt([OTHER, DOUBT], DOUBT, 0.001) == (OTHER,)
     assert replace_doubt([OTHER, DOUBT], DOUBT, 0.2) == (OTHER, replace(DOUBT, probability=0.2))
-
-
-@pytest.mark.slow
-def test_a_model_that_believes_its_sizes_keeps_to_them_with_another_arm() -> None:
-    of = plain_model(331, Effect("field_dependent_permittivity", 0.05)).of
-    place = of.model.index(ACTUATION)
-    assert place is not None
-    theta = np.array([e.mean for e in of.model.entries])
-    theta[place] += 100 * of.model.prior_sd[place]
-    believed = replace(of.model, is_sized=True)
-    assert not np.isfinite(of.model.free_actuation(theta, RULES.prior.contradicted).prior_sd[place])
-    assert believed.free_actuation(theta, RULES.prior.contradicted) is believed
-    more, _ = begin_arm(of.session, believed, theta, 0.3, 1.0)
-    assert more.is_sized
