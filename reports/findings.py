@@ -18,12 +18,15 @@ from reports.results import Row
 from schemas import numbers
 from schemas.explanations import (
     REMOVABLE,
+    STAGES,
     Explanation,
+    call_cause,
     cause,
     has_unnamed_beside,
     list_explanations,
     tell_doubt,
     tell_no_gain,
+    tell_where_to_begin,
 )
 from schemas.mechanisms import (
     FOREIGN,
@@ -44,8 +47,6 @@ from schemas.rig_constants import RIG_CONSTANTS, RigConstant
 _CLEARLY_LONGER = 1.2
 """Ratio of two lives from which a heading says it."""
 LISTED_CAUSES = len(MECHANISMS)
-_STAGES = {"contact": "clamping of the film", "drift": "force while a recording lasts"}
-"""Stages whose name is no word for people."""
 LESS_THAN_NOISE = "the model leaves less than the errors that the fit reckons with"
 
 
@@ -100,7 +101,7 @@ def _tell_unnamed(d: Row) -> str:
     """Where an effect without a name acts, and on what it depends, as far as that is known."""
     if not d["stage"]:
         return "the simulation is wrong"
-    where = f"an effect without a name acts in the {_STAGES.get(d['stage'], d['stage'])}"
+    where = f"an effect without a name acts in the {STAGES.get(d['stage'], d['stage'])}"
     on = [str(name).replace("_", " ") for name in d["depends_on"] or ()]
     return f"{where} and depends on the {listed(on)}" if on else where
 
@@ -120,10 +121,11 @@ def _tell_beside(standing: Standing) -> str:
     fit, with_cause = standing.fit, standing.extension
     if with_cause is None or not numbers.is_usable(with_cause["k0_n_per_mm_sd"]):
         return " as far as the plain model goes"
+    what = call_cause(standing.diagnosis or {"verdict": ""})
     value = numbers.headline(with_cause["k0_n_per_mm"], with_cause["k0_n_per_mm_sd"], "N/mm")
     if fit is not None and numbers.headline(fit["k0_n_per_mm"], fit["k0_n_per_mm_sd"], "N/mm") == value:
-        return " with the cause and without it"
-    return f" without the cause and {value} with it"
+        return f" with {what} and without it"
+    return f" without {what} and {value} with it"
 
 
 def _residual_words(fit: Row) -> str:
@@ -215,26 +217,34 @@ def _by_ids(explanation: Explanation, of: Sequence[Explanation]) -> Piece:
 
 
 def what_next(standing: Standing) -> Next | None:
-    """The recording that would decide, or what to do about the causes that are named."""
+    """What to do about the causes that are named, or the recording that would decide, or where to begin where none would."""
     diagnosis = standing.diagnosis
     if not diagnosis:
         return None
-    if diagnosis["verdict"] == "named":
-        mechanisms = list(diagnosis["mechanisms"] or ())
-        constants = find_constants(standing)
-        written = [tell_constants(standing, constants)] if constants else []
-        if written and standing.taps:
-            mechanisms.remove(RIG)
-            return Next("What to do", " ".join([*written, *list_actions(mechanisms)]))
-        actions = list_actions(mechanisms)
-        whose = [standing.owner] if FOREIGN in mechanisms and standing.owner else []
-        return Next("What to do", " ".join([*actions, *whose, *written])) if actions else None
     words = [diagnosis["next_recording"]] if diagnosis["next_recording"] else []
-    heading = "Next recording to make" if words else "What would tell them apart"
-    sentences = [
-        f"{capital(name_causes(str(text))).rstrip('.')}." for text in (*words, *(diagnosis["would_tell"] or ()))
-    ]
-    return Next(heading, " ".join(sentences)) if sentences else None
+    telling = [_as_sentence(text) for text in (*words, *(diagnosis["would_tell"] or ()))]
+    if diagnosis["verdict"] == "named":
+        actions = [*_list_named_actions(standing, list(diagnosis["mechanisms"] or ())), *telling]
+        return Next("What to do", " ".join(actions)) if actions else None
+    if telling:
+        return Next("Next recording to make" if words else "What would tell them apart", " ".join(telling))
+    actions = tell_where_to_begin(diagnosis)
+    return Next("What to do", " ".join(actions)) if actions else None
+
+
+def _as_sentence(text: object) -> str:
+    return f"{capital(name_causes(str(text))).rstrip('.')}."
+
+
+def _list_named_actions(standing: Standing, mechanisms: list[str]) -> list[str]:
+    """What to do about causes that are named, with the constants to write into the rig's file, and whose a foreign recording is."""
+    constants = find_constants(standing)
+    written = [tell_constants(standing, constants)] if constants else []
+    if written and standing.taps:
+        mechanisms.remove(RIG)
+        return [*written, *list_actions(mechanisms)]
+    whose = [standing.owner] if FOREIGN in mechanisms and standing.owner else []
+    return [*list_actions(mechanisms), *whose, *written]
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from schemas.mechanisms import RECORD, UNLISTED, finding, nested
-from schemas.numbers import word
+from schemas.mechanisms import RECORD, UNLISTED, finding, list_actions, nested
+from schemas.numbers import joined, word
 
 CREDIBLE = 0.95
 """Probability that explanations hold together which are said to be possible, and that one alone has which is named."""
@@ -21,6 +21,8 @@ REMOVABLE = "of the squared error beyond the noise"
 """What a gain is a share of: χ² of the plain model on what was left out, less the number of its values."""
 _BY_RECORDINGS = 4.0
 """Fall of χ² from which on recordings show a cause by themselves; below it what is known of film and rig does."""
+STAGES = {"contact": "clamping of the film", "drift": "force while a recording lasts"}
+"""Stages whose name is no word for people."""
 _PLAIN = "plain"
 """The explanation, in `probabilities`, that nothing is beside the simulation but noise."""
 
@@ -103,10 +105,10 @@ def cause(diagnosis: Mapping[str, Any]) -> str:
         return _join([finding(m, found.get(m, {})) for one in explanations for m in one])
     common = [m for m in explanations[0] if m != UNLISTED and all(m in one for one in explanations)]
     if not common:
-        return _choose([_state(one, explanations) for one in explanations])
+        return _choose([_state(one, explanations, found) for one in explanations])
     sure = _join([finding(m, found.get(m, {})) for m in common])
     beside = [tuple(m for m in one if m not in common) for one in explanations]
-    perhaps = _choose([_state(one, beside, beside=True) for one in beside if one])
+    perhaps = _choose([_state(one, beside, found, beside=True) for one in beside if one])
     return f"{sure}, and {'perhaps' if () in beside else 'in addition'} {perhaps}"
 
 
@@ -137,11 +139,37 @@ def tell_doubt(diagnosis: Mapping[str, Any]) -> str:
     return "cannot tell" if first.intersection(*others) and others else "cannot tell which"
 
 
-def _state(one: Explanation, of: Sequence[Explanation], *, beside: bool = False) -> str:
+def tell_where_to_begin(diagnosis: Mapping[str, Any]) -> list[str]:
+    """What to do where no cause is named and no recording is known that would tell, from a row of `diagnoses`, in sentences; empty where the
+    verdict is another.
+    """
+    if diagnosis["verdict"] == "ambiguous":
+        actions = list_actions(diagnosis["mechanisms"] or ())
+        return ["No recording is known that would tell. Begin with the likeliest:", *actions] if actions else []
+    if diagnosis["verdict"] != "unknown":
+        return []
+    if not diagnosis["stage"]:
+        return ["Look at the recordings that the simulation misses most, and repeat them."]
+    on = joined([str(name).replace("_", " ") for name in diagnosis["depends_on"] or ()])
+    what = f", at what depends on the {on}: a repeated test that differs in nothing else shows it" if on else ""
+    return [
+        f"Look at the {STAGES.get(diagnosis['stage'], diagnosis['stage'])}{what}.",
+        "Until it has a name, use the extended model within what was tested.",
+    ]
+
+
+def call_cause(diagnosis: Mapping[str, Any]) -> str:
+    """What the cause that an extended model has in it is called, from a row of `diagnoses`: the likeliest one, where others may be it."""
+    return "the likeliest cause" if tell_doubt(diagnosis) == "cannot tell which" else "the cause"
+
+
+def _state(
+    one: Explanation, of: Sequence[Explanation], severities: Mapping[str, Mapping[str, Any]], *, beside: bool = False
+) -> str:
     """An explanation without sizes; of one that another holds too, with more, that it is only this."""
     if not one:
         return "nothing is wrong beyond the noise"
-    together = [finding(m, {}, beside=beside or len(one) > 1) for m in one]
+    together = [finding(m, severities.get(m, {}), beside=beside or len(one) > 1, sized=False) for m in one]
     text = f"{', '.join(together[:-1])} and {together[-1]}" if len(together) > 1 else together[0]
     return f"only {text}" if one != (UNLISTED,) and any({*one} < {*other} for other in of) else text
 

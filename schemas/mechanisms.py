@@ -32,12 +32,14 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """A cause in words. `finding` has one `{}` for the severity of its first parameter, `reverse` says it for a negative one."""
+    """A cause in words. `finding` has one `{}` for the severity of its first parameter, `reverse` says it for a negative one, and `unsigned`
+    where the sign is not known."""
 
     name: str
     finding: str
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     reverse: str = ""
+    unsigned: str = ""
 
 
 ACTIONS: dict[str, str] = {
@@ -137,6 +139,7 @@ MECHANISMS: dict[str, Mechanism] = {
         "the force drifts down, by {} of the rest force per decade of time",
         {"per_decade": _share("of the rest force, per decade"), "onset_s": Parameter("from", 1.0, "s")},
         "the force drifts up, by {} of the rest force per decade of time",
+        "the force drifts",
     ),
     "thermal_softening": Mechanism(
         "Softening with temperature",
@@ -147,18 +150,21 @@ MECHANISMS: dict[str, Mechanism] = {
             "self_heating_k": Parameter("own heat in a cycle", 1e3, "mK"),
         },
         "the film stiffens as it warms, by {} per kelvin",
+        "the film softens or stiffens as it warms",
     ),
     "field_dependent_permittivity": Mechanism(
         "Permittivity falls with the field",
         "the permittivity falls with the field, by {} at the largest voltage",
         {"fraction": _share("at the largest voltage")},
         "the permittivity rises with the field, by {} at the largest voltage",
+        "the permittivity changes with the field",
     ),
     "frequency_dependent_permittivity": Mechanism(
         "Permittivity changes with frequency",
         "the permittivity falls with frequency, by {} per decade",
         {"per_decade": _share("per decade")},
         "the permittivity rises with frequency, by {} per decade",
+        "the permittivity changes with frequency",
     ),
     "electrode_degradation": Mechanism(
         "Degrading electrode",
@@ -180,6 +186,7 @@ MECHANISMS: dict[str, Mechanism] = {
         "the film stiffens with strain, by {} at the largest",
         {"stiffening": _share("at the largest strain")},
         "the film softens with strain without a loss, by {} at the largest",
+        "the film stiffens or softens with strain",
     ),
     "sensor_delay": Mechanism("Delayed sensor", "a sensor is late, by {}", {"delay_s": Parameter("delay", 1e6, "µs")}),
     "gain_error": Mechanism(
@@ -187,12 +194,14 @@ MECHANISMS: dict[str, Mechanism] = {
         "a channel reads too much, by {}",
         {"gain": _share("gain error")},
         "a channel reads too little, by {}",
+        "a channel reads too much or too little",
     ),
     "drive_offset": Mechanism(
         "Offset of the drive",
         "the voltage has an offset, of {}",
         {"offset_kv": Parameter("offset", 1.0, "kV")},
         "the voltage has an offset, of minus {}",
+        "the voltage has an offset",
     ),
     "leakage": Mechanism("Leakage", "the film leaks, and the voltage sags by {}", {"droop": _share("droop")}),
     "wrinkling": Mechanism(
@@ -360,8 +369,14 @@ def candidate(mechanism: str, value: float | None, sd: float | None, parameter: 
     return amount(mechanism, shown, {"value": value, "sd": sd})
 
 
-def finding(mechanism: str, parameters: Mapping[str, Any], *, beside: bool = False) -> str:
-    """The cause as a sentence by its main parameter: `the load cell is stiffer …, by 6.3 ± 0.3 %`; `beside` another that is told before."""
+def finding(mechanism: str, parameters: Mapping[str, Any], *, beside: bool = False, sized: bool = True) -> str:
+    """The cause as a sentence by its main parameter: `the load cell is stiffer …, by 6.3 ± 0.3 %`.
+
+    Parameters
+    ----------
+    beside : whether another cause is told before it
+    sized : whether the size is told, or its direction alone
+    """
     known = _WORDS.get(mechanism)
     if mechanism == UNLISTED:
         return "something that is in no list acts beside that" if beside else "the cause is in no list"
@@ -370,8 +385,8 @@ def finding(mechanism: str, parameters: Mapping[str, Any], *, beside: bool = Fal
     if known is None:
         return f"the cause is {plain_name(mechanism)}"
     main = next((key for key in known.parameters if key in parameters), None)
-    if main is None:
-        return _leave_size_out(known.finding)
+    if main is None or (mechanism == RIG and not sized):
+        return known.unsigned or _leave_size_out(known.finding)
     if mechanism == RIG:
         return ", and ".join(_rig_finding(k, parameters[k]) for k in list_sure(mechanism, parameters))
     text, size = known.finding, parameters[main]
@@ -380,7 +395,7 @@ def finding(mechanism: str, parameters: Mapping[str, Any], *, beside: bool = Fal
     channel = parameters.get("channel")
     if isinstance(channel, str):
         text = text.replace("a sensor is", f"the {channel} channel is").replace("a channel reads", f"{channel} reads")
-    return text.format(amount(mechanism, main, size)) if _is_resolved(size) else _leave_size_out(text)
+    return text.format(amount(mechanism, main, size)) if sized and _is_resolved(size) else _leave_size_out(text)
 
 
 def list_sure(mechanism: str, parameters: Mapping[str, Any]) -> list[str]:

@@ -15,7 +15,7 @@ from pipeline.commands.show.diagnoses import describe_verdict
 from reports import findings
 from reports.evidence import Standing
 from reports.pages.specimen import diagnosis
-from schemas.explanations import CREDIBLE, cause, list_explanations, tell_doubt
+from schemas.explanations import CREDIBLE, call_cause, cause, list_explanations, tell_doubt
 from schemas.mechanisms import FAULTS, MECHANISMS, UNLISTED, finding
 
 CAUSES = [*MECHANISMS, *FAULTS]
@@ -63,6 +63,7 @@ def parse(text: str, found: Mapping[str, Any]) -> list[frozenset[str]]:
     severity = json.loads(found["severity"])
     names = {m: f"<{m}>" for m in (*CAUSES, UNLISTED)}
     clauses = [(finding(m, severity.get(m, {})), m) for m in names] + [(finding(m, {}), m) for m in names]
+    clauses += [(finding(m, severity.get(m, {}), sized=False), m) for m in names]
     clauses.append((finding(UNLISTED, {}, beside=True), UNLISTED))
     for clause, m in sorted(clauses, key=lambda c: -len(c[0])):
         text = text.replace(clause, names[m])
@@ -137,7 +138,10 @@ ELECTRODE, PERMITTIVITY = "electrode_degradation", "frequency_dependent_permitti
             ["drive_lag"], ["sensor_saturation"], {"drive_lag": 0.918, "drive_lag+sensor_saturation": 0.08},
             "the voltage lags its command, by 200 ± 10 ms, and perhaps the force sensor saturates",
         ),
-        (["slack"], ["strain_stiffening"], None, "either the film goes slack or the film stiffens with strain"),
+        (
+            ["slack"], ["strain_stiffening"], None,
+            "either the film goes slack, or the film stiffens or softens with strain",
+        ),
         (
             ["slack"], ["clamp_slip", UNLISTED], {"slack": 0.5, "clamp_slip": 0.3, "film/cycle": 0.19},
             "either the film goes slack, or the clamp slips, or the cause is in no list",
@@ -169,3 +173,19 @@ def test_what_is_less_than_credible_together_is_left_out() -> None:
         row(["slack"], ["clamp_slip"], {"slack": CREDIBLE - 0.01, "clamp_slip": 0.05, "leakage": 0.01})
     )
     assert found == [("slack",), ("clamp_slip",)]
+
+
+def test_what_may_be_is_said_with_its_direction_and_channel_where_they_are_known() -> None:
+    """A displacement that read 6 % too little was told as a channel that reads too much."""
+    found = row(["gain_error"], ["rig_constants"], {"gain_error": 0.51, "rig_constants": 0.48})
+    severity = {"gain_error": {"gain": {"value": -0.064, "sd": 0.009}, "channel": "displacement"}}
+    told = cause({**found, "severity": json.dumps(severity)})
+    assert told == "either displacement reads too little or the rig differs from its file"
+    other = row(["rig_constants"], ["gain_error"], {"rig_constants": 0.51, "gain_error": 0.48})
+    assert cause(other) == "either the rig differs from its file, or a channel reads too much or too little"
+
+
+def test_an_ambiguous_cause_is_the_likeliest_and_one_that_is_sure_is_the_cause() -> None:
+    assert call_cause(row(["slack"], ["leakage"], {"slack": 0.51, "leakage": 0.48})) == "the likeliest cause"
+    assert call_cause(row(["slack"], ["leakage"], {"slack": 0.5, "leakage+slack": 0.49})) == "the cause"
+    assert call_cause({"verdict": "named"}) == "the cause"

@@ -216,6 +216,28 @@ def test_what_would_tell_causes_apart_is_said_where_no_recording_does(proposed: 
     assert plain(str(following.body)).endswith("“lag of the drive” from slack: the phase at high frequencies.")
 
 
+@pytest.mark.parametrize(
+    ("verdict", "more", "expected"),
+    [
+        (
+            "ambiguous",
+            {"mechanisms": ["cyclic_softening"], "also_possible": ["unlisted"]},
+            "No recording is known that would tell. Begin with the likeliest: Cycle such films until they no longer change",
+        ),
+        ("unknown", {"stage": "contact", "depends_on": ["session_time"]}, "Look at the clamping of the film, at what depends on the"),
+        ("unknown", {}, "Look at the recordings that the simulation misses most"),
+    ],
+)  # fmt: skip
+def test_no_alarm_is_without_what_to_do(verdict: str, more: dict[str, object], expected: str) -> None:
+    """A film that softened within one sweep was ambiguous with what is in no list, and nothing said where to begin."""
+    d = diagnosis(verdict, **more)
+    following = findings.what_next(Standing("P-07", None, None, None, d))
+    assert following is not None
+    assert following.title == "What to do"
+    assert plain(str(following.body)).startswith(expected)
+    assert explanations.tell_where_to_begin(d)[0] in plain(str(following.body))
+
+
 def test_findings_without_a_neighbour_take_the_width() -> None:
     wide = Finding("w", (), "named", figure=Figure(Markup(""), ""))
     narrow = Finding("n", (), "named")

@@ -11,7 +11,15 @@ from pipeline.lab.reader import Reader
 from schemas.alike import ask_meant
 from schemas.corrections import write_corrections
 from schemas.errors import UsageError
-from schemas.explanations import REMOVABLE, cause, has_unnamed_beside, list_explanations, tell_doubt, tell_no_gain
+from schemas.explanations import (
+    REMOVABLE,
+    cause,
+    has_unnamed_beside,
+    list_explanations,
+    tell_doubt,
+    tell_no_gain,
+    tell_where_to_begin,
+)
 from schemas.mechanisms import (
     UNLISTED,
     amount,
@@ -101,6 +109,10 @@ def _describe_diagnosis(row: Row) -> Iterator[str]:
         yield from _list_under("Next recording to make", [capital(row["next_recording"])])
     if row["would_tell"]:
         yield from _list_under("What would tell causes apart", row["would_tell"])
+    if not row["next_recording"] and not row["would_tell"]:
+        beginning = tell_where_to_begin(row)
+        if beginning:
+            yield from _list_under("What to do", beginning)
     yield from _describe_visibility(row)
     if row["verdict"] is not None and row["could_not_ask"]:
         yield from _list_under("What could not be asked", row["could_not_ask"])

@@ -14,7 +14,6 @@ from reports.blocks import (
     Fold,
     Head,
     Heading,
-    Next,
     Pair,
     Piece,
     Pre,
@@ -32,7 +31,7 @@ from reports.blocks import (
 from reports.evidence import Standing, plain_beyond_noise
 from reports.features import COLUMNS, kind_of
 from reports.figures import diagnosis as figures
-from reports.findings import LISTED_CAUSES, evidence, gain, what_is_wrong, what_next
+from reports.findings import LISTED_CAUSES, evidence, gain, what_is_wrong
 from reports.names import Verbatim, short, visible
 from reports.pages.draft import Draft
 from reports.pages.specimen import comparing_models, explanations, shifts, unnamed
@@ -57,8 +56,6 @@ from schemas.numbers import (
 )
 from schemas.places import list_negative, list_wrong
 
-_DECISIVE = 9.2
-"""2Δ ln L by which a cause must lead to stand alone."""
 _WORST, _ROWS = 6, 40
 _MAPPED = 32
 _OPEN_ROWS = 8
@@ -84,9 +81,6 @@ def section(draft: Draft, standing: Standing) -> Section | None:
     blocks += _candidates(draft, d)
     blocks += _gain(draft, d)
     blocks += _film(draft, standing, d)
-    following = what_next(standing)
-    if following:
-        blocks.append(Next(following.title, flow(following.body, _separation(d))))
     blocks += _visible(draft, d)
     return Section("diagnosis", _heading(d, standing), "Diagnosis", tuple(blocks))
 
@@ -98,13 +92,6 @@ def _heading(d: Record, standing: Standing) -> str:
         "ambiguous": "Diagnosis: more than one explanation fits",
         "unknown": "Diagnosis: the simulation is wrong, and no listed cause explains all of it",
     }.get(d["verdict"], "Diagnosis: the simulation is right within the noise")
-
-
-def _separation(d: Record) -> str:
-    value = d["next_separation"]
-    if value is None:
-        return ""
-    return f" Expected: {significant(value, 2)} more in 2Δ ln L between the two closest causes; {_DECISIVE} decides."
 
 
 _CORRECTIONS_SQL = """SELECT recording_id, cause, key, value_now, value_proposed, probability, finding, treatment, left_per_value
@@ -443,9 +430,10 @@ def _film(draft: Draft, standing: Standing, d: Record) -> list[Block]:
         for r in found
     )  # fmt: skip
     heads = (Head("Parameter"), Head("Unit"), Head("Plain", "n"), Head("Extended", "n"), Head("Moved by, SD", "n"))
-    note = shifts.tell(shifts.load(draft.results, standing))
+    moved = shifts.load(draft.results, standing)
+    note = shifts.tell(moved)
     below = (
-        "Plain: fitted without the cause to all that the diagnosis simulates, mean forces, harmonics and rests too. The model that"
+        f"Plain: fitted without {moved.cause} to all that the diagnosis simulates, mean forces, harmonics and rests too. The model that"
         " is fitted to the responses alone is another one; its parameters stand above."
     )
     if wrong:

@@ -208,7 +208,7 @@ def parameters(draft: Draft, standing: Standing, chosen: Record) -> Section:
                 scale * after[column] if after[column] else None for column in ("k0_n_per_mm", "k0_n_per_mm_sd")
             )
             heading = flow(
-                heading, f", {headline(value, sd, 'MPa')} with the cause in the model" if is_usable(sd) else ""
+                heading, f", {headline(value, sd, 'MPa')} with {moved.cause} in the model" if is_usable(sd) else ""
             )
     notes = (Text(flow(bold("The rig: "), text)) for text in _rig_notes(standing, chosen, constants))
     return Section("parameters", heading, "Parameters", (table, *notes))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from reports import findings
-from reports.blocks import Link, Page, Piece, Section, Text, flow, name, separated, tag
+from reports.blocks import Block, Link, Page, Piece, Section, Text, flow, name, separated, tag
 from reports.evidence import Standing, measured
 from reports.figures.curves import Rig, rig
 from reports.names import short
@@ -92,7 +92,7 @@ def page(site: Site, specimen: str) -> Page:
             {"item": f"specimen:{specimen}"},
         )
     )
-    opening = [
+    opening: list[Block] = [
         Text(flow(tag("quarantined", "failed"), " ", short(r["error"] or "", 400), ". Shown is what there is."), "")
         for r in failed
     ]
@@ -101,6 +101,9 @@ def page(site: Site, specimen: str) -> Page:
         opening.append(unchosen)
     elif standing.fit is None and not failed:
         opening += _why_no_model(draft)
+    following = findings.what_next(standing)
+    if following is not None:
+        opening.insert(0, following)
     sections = _sections(draft, standing, fits, recordings)
     shown_list = listing.recordings(
         site, recordings, query, f"Recordings of {short(specimen, 40)}", note=_status_note(recordings)

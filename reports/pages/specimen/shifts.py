@@ -15,6 +15,7 @@ from reports.evidence import Standing
 from reports.figures.curves import arms
 from reports.results import Query, Results
 from reports.results import Row as Record
+from schemas.explanations import call_cause
 from schemas.numbers import significant
 
 MOVED = 2.0
@@ -28,11 +29,12 @@ ORDER BY parameter"""
 @dataclass(frozen=True)
 class Shifts:
     """The largest shift of a parameter towards the extended model, SD: from the fit to the responses alone, and from the plain model
-    of the diagnosis; None where a model is not there to compare."""
+    of the diagnosis; None where a model is not there to compare. `cause`: what the cause in it is called."""
 
     fitted: float | None
     fitted_parameter: str
     plain: float | None
+    cause: str = "the cause"
 
     @property
     def any(self) -> bool:
@@ -57,7 +59,7 @@ def load(results: Results, standing: Standing) -> Shifts:
     rows = results.rows(Query(FILM_SQL, {"specimen": standing.specimen_id}))
     plain = max((r["moved_sd"] for r in rows if r["moved_sd"] is not None), default=None)
     most = max(fitted, key=lambda name: fitted[name], default="")
-    return Shifts(fitted.get(most), most, plain)
+    return Shifts(fitted.get(most), most, plain, call_cause(standing.diagnosis or {"verdict": ""}))
 
 
 def _of_fits(fit: Record, extension: Record) -> dict[str, float]:
@@ -71,11 +73,12 @@ def _of_fits(fit: Record, extension: Record) -> dict[str, float]:
 
 def tell(shifts: Shifts) -> str:
     """What ignoring the cause does to the film, in words."""
+    biases = f"ignoring {shifts.cause} biases the film"
     if shifts.plain is not None and shifts.plain > MOVED:
-        return "ignoring the cause biases the film"
+        return biases
     if shifts.fitted is not None and shifts.fitted > MOVED:
         off = f"the model fitted to the responses alone is up to {significant(shifts.fitted, 2)} SD off ({shifts.fitted_parameter})"
         if shifts.plain is None:
-            return f"ignoring the cause biases the film: {off}"
-        return f"{off}; the plain model of the diagnosis, which rests on all recordings, finds the same film as with the cause"
+            return f"{biases}: {off}"
+        return f"{off}; the plain model of the diagnosis, which rests on all recordings, finds the same film as with {shifts.cause}"
     return "the film stays where it was"
