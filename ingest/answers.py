@@ -74,7 +74,9 @@ def draft_with(path: Path, answers: Mapping[str, str]) -> tuple[Draft, dict[str,
         if key in said or key in of_file:
             continue
         if key == SIZES:
-            sizes = re.split(r"\s*[x×,; ]\s*", value)
+            sizes = _split_sizes(value)
+            if len(sizes) > len(_SIZE_KEYS):
+                wrong.append(f"{SIZES}={value}: {len(sizes)} numbers, where length, width and thickness are three")
             placed |= {f"recording.{k}": read_value(s) for k, s in zip(_SIZE_KEYS, sizes, strict=False)}
             continue
         full = _full_key(key, draft)
@@ -86,6 +88,14 @@ def draft_with(path: Path, answers: Mapping[str, str]) -> tuple[Draft, dict[str,
     if wrong:
         raise UsageError("; ".join(wrong), where=path.name, expected="columns of the file, or keys of the mapping")
     return draft, placed
+
+
+def _split_sizes(value: str) -> list[str]:
+    """The numbers of `50x20x0.5`, `50, 20, 0.5` or `50 20 0,5`: a comma is that of a decimal where something else stands between them."""
+    for between in (r"\s*[x×;]\s*", r"\s*,\s+|\s+"):
+        if re.search(between, value):
+            return [part.replace(",", ".") for part in re.split(between, value)]
+    return value.split(",")
 
 
 def _kind(answers: Mapping[str, str], path: Path) -> str | None:

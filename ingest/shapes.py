@@ -13,6 +13,7 @@ import numpy as np
 
 from schemas.arrays import Float, Int
 from schemas.numbers import significant
+from schemas.quantities import QUANTITIES
 
 SURE, LIKELY, UNSURE = "sure", "likely", "a guess"
 _POINTS = 200_000
@@ -169,25 +170,38 @@ def _find_slow_cycles(drive: _Drive) -> Shape | None:
     return Shape("cycle", "electrical", SURE if straight else LIKELY, seen)
 
 
+def _say(name: str, value: float) -> str:
+    """A value of a channel with its unit."""
+    return f"{value:.4g} {QUANTITIES[name].unit}" if name in QUANTITIES else f"{value:.4g}"
+
+
 def _mechanical(name: str, answer: str, traces: Mapping[str, Trace]) -> Shape:
     drive = _reduce(traces[name])
     if drive.range <= 0:
         return Shape("step", "mechanical", UNSURE, f"a {name} that never changes")
     if answer in traces and (crept := _find_creep(traces[name], traces[answer])) is not None:
-        return Shape("creep", "mechanical", SURE, f"{answer} is held at {crept:.4g} while the {name} goes on")
+        return Shape("creep", "mechanical", SURE, f"{answer} is held at {_say(answer, crept)} while the {name} goes on")
     if drive.held > _HELD:
         high, t = drive.high, drive.time_s
-        reached = float(t[np.argmax(np.abs(drive.values - drive.values[0]) >= 0.98 * drive.range)] - t[0])
-        seen = f"{name} goes to {high:.4g} within {reached:.3g} s and is held (record of {drive.duration_s:.4g} s)"
+        moved = np.abs(drive.values - drive.values[0])
+        reached = int(np.argmax(moved >= 0.98 * drive.range))
+        begun = int(np.flatnonzero(moved[: reached + 1] <= 0.02 * drive.range)[-1])
+        seen = (
+            f"{name} goes to {_say(name, high)} within {t[reached] - t[begun]:.3g} s and is held"
+            f" (record of {drive.duration_s:.4g} s)"
+        )
         return Shape("step", "mechanical", SURE, seen)
     crossings = len(drive.crossings_s)
     if drive.turns.size <= 1 and answer in traces and (broken := _find_break(traces[name], traces[answer])) is not None:
-        return Shape("pull", "mechanical", SURE, f"{name} rises to {broken:.4g}, where the {answer} is lost")
+        return Shape("pull", "mechanical", SURE, f"{name} rises to {_say(name, broken)}, where the {answer} is lost")
     if crossings < _FEWEST_CROSSINGS and drive.turns.size <= 1:
         return _one_cycle(name, answer, drive, traces)
     if drive.turns.size >= 3 and _is_even(drive) and _is_straight(drive):
         return Shape(
-            "cycle", "mechanical", SURE, f"{(drive.turns.size + 1) // 2} triangles of {name} up to {drive.high:.4g}"
+            "cycle",
+            "mechanical",
+            SURE,
+            f"{(drive.turns.size + 1) // 2} triangles of {name} up to {_say(name, drive.high)}",
         )
     if drive.turns.size >= 3 and _is_even(drive):
         frequency = 0.5 / float(np.mean(drive.halves_s))
@@ -253,7 +267,7 @@ def _find_break(drive: Trace, answer: Trace) -> float | None:
 
 def _one_cycle(name: str, answer: str, drive: _Drive, traces: Mapping[str, Trace]) -> Shape:
     certainty = SURE if drive.turns.size == 1 else LIKELY
-    seen = f"{name} goes once up to {drive.high:.4g}" + (" and back" if drive.turns.size == 1 else "")
+    seen = f"{name} goes once up to {_say(name, drive.high)}" + (" and back" if drive.turns.size == 1 else "")
     return Shape("cycle", "mechanical", certainty, seen)
 
 

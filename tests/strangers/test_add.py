@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+import re
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ingest.answers import answered, as_suggested, draft_with, read_value, split_answers
+from ingest.answers import _split_sizes, answered, as_suggested, draft_with, read_value, split_answers
 from ingest.draft import make_draft
 from ingest.encodings import guess_encoding
 from ingest.faults import find_faults
@@ -622,3 +623,27 @@ def test_the_next_night_is_given_the_folder_that_holds_the_rigs(
     (tmp_path / "first" / "rigs").rmdir()
     assert main(["add", str(path), "--replace", "--yes", *SWEPT]) == 0
     assert f"`dealab nightly {path.parent}`" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "sizes"),
+    [
+        ("50x20x0.5", ["50", "20", "0.5"]),
+        ("50x50x0,6", ["50", "50", "0.6"]),
+        ("50; 20; 0,5", ["50", "20", "0.5"]),
+        ("50 20 0,5", ["50", "20", "0.5"]),
+        ("50, 20, 0.5", ["50", "20", "0.5"]),
+        ("50,20,0.5", ["50", "20", "0.5"]),
+    ],
+)
+def test_sizes_have_the_decimal_comma_of_their_file(given: str, sizes: list[str]) -> None:
+    """`50x50x0,6` was four numbers, of which the third was a thickness of 0."""
+    assert _split_sizes(given) == sizes
+
+
+def test_a_step_is_told_with_its_unit_and_from_where_it_begins() -> None:
+    time_s = np.arange(0, 20, 0.01)
+    moved = np.clip((time_s - 2) / 0.05, 0, 1)
+    shape = find_shape({"displacement": Trace(time_s, moved), "force": Trace(time_s, 0.4 * moved)})
+    assert shape is not None
+    assert re.match(r"displacement goes to 1 mm within 0\.0\d* s and is held", shape.seen)

@@ -39,6 +39,9 @@ CERTAIN = 200.0
 IRRELEVANT = 0.2
 GRID = 0.3
 """χ² that arms between the points of the reference's grid may gain."""
+NO_MODULUS = (
+    "no modulus: without the stiffness of the load cell in a rig's file the response is that of film and cell together"
+)
 Rigs = RigConstants | None | Sequence[RigConstants | None]
 
 
@@ -72,8 +75,9 @@ def fit_specimen(
     response_rigs, curve_rigs = per_recording(rig, len(responses)), per_recording(curve_rig, len(relaxations))
     observations, warnings, unknown = assemble(responses, response_rigs, relaxations, curve_rigs)
     measured = [film_stiffness(r, c) for r, c in zip(responses, response_rigs, strict=True)]
-    if any(missing_constants(one) for one in response_rigs):
-        geometry = None  # the stiffness is that of film and load cell together, which is no modulus; of a held step the cell is stiff
+    if geometry is not None and any(missing_constants(one) for one in response_rigs):
+        geometry = None  # of a held step the cell is stiff
+        warnings += (NO_MODULUS,)
     name = specimen_id or _specimen(responses, relaxations)
 
     def fits_of(kept: Observations, told: tuple[str, ...]) -> SpecimenFits:

@@ -29,7 +29,7 @@ from reports.evidence import Standing, curve, drawable, measured
 from reports.figures.responses import response
 from reports.findings import LESS_THAN_NOISE
 from reports.names import short
-from reports.pages import found
+from reports.pages import found, listing
 from reports.pages.campaign import lives
 from reports.pages.index import control, trouble
 from reports.pages.specimen import comparing_models, film
@@ -153,7 +153,7 @@ def _to_do(
     full: Mapping[str, Standing],
     following: Mapping[str, Next | None],
 ) -> Table | None:
-    """What happened and what to do about it, in one line for specimens with one cause, and for files that were not read.
+    """What happened and what to do about it, in one line for specimens with one cause, and for files that were not read, or not to their end.
 
     Where it would be one line about specimens alone there is no table: their finding says it.
 
@@ -170,7 +170,7 @@ def _to_do(
         if doing is not None and standing.diagnosis is not None:
             who = listed([site.specimen(s.specimen_id, "") for s in group])
             rows.append(Row((who, f"{capital(cause(standing.diagnosis))}.", doing.body)))
-    unread = _unread(site)
+    unread = [*_unread(site), *_damaged(site)]
     if len(rows) + 2 * len(unread) < _TO_DO[0]:
         return None
     more = len(rows) - _TO_DO[1]
@@ -192,6 +192,21 @@ def _unread(site: Site) -> list[Row]:
     if len(paths) > 1:
         todo = flow(todo, " So for each of them.")
     return [Row((files, f"{capital(verb)} no mapping: {they} not read.", todo))]
+
+
+def _damaged(site: Site) -> list[Row]:
+    """The recordings of the last night of which a part could not be read, in one line; no line where there are none."""
+    rows = trouble.list_damaged(site)
+    if not rows:
+        return []
+    shown = [site.recording(r["recording_id"], "") for r in rows[:_UNMAPPED]]
+    more = len(rows) - len(shown)
+    who = listed([*shown, f"{digits(more, 'other recording')}"] if more else shown)
+    what = listing.problem(rows[0]["problem"]) if len(rows) == 1 else "Parts of them could not be read."
+    todo = "Copy it again from the rig if it is whole there; what could be read is used."
+    if len(rows) > 1:
+        todo = "Copy them again from the rig if they are whole there; what could be read is used."
+    return [Row((who, what, todo))]
 
 
 def _out_of_control(site: Site) -> list[Finding]:

@@ -9,6 +9,7 @@ from reports.blocks import Block, Fold, Head, Piece, Row, Section, Table, Text, 
 from reports.names import short
 from reports.pages import listing
 from reports.results import Query
+from reports.results import Row as Record
 from reports.site import RECORDINGS, REFUSED, Site
 from schemas.numbers import ABSENT, capital, digits, joined, seconds, word
 from schemas.visible import quote_path
@@ -135,6 +136,13 @@ def list_unmapped(site: Site) -> list[str]:
     """The data files of the last run that have no mapping."""
     rows = site.results.rows("SELECT item_id FROM items WHERE outcome = 'unmapped' ORDER BY item_id")
     return [str(r["item_id"]).partition(":")[2] for r in rows]
+
+
+def list_damaged(site: Site) -> list[Record]:
+    """The recordings of the last run of which a part could not be read, with what is missing."""
+    return site.results.rows(
+        f"SELECT recording_id, problem FROM recordings WHERE status = 'damaged' AND run_id = {LAST_RUN} ORDER BY recording_id"
+    )
 
 
 def _without_result_table(site: Site) -> Table | None:
