@@ -295,6 +295,13 @@ def _lay_out(
     return sizes, stretch, layer, assumed
 
 
+def _tell_electrode(sizes: Sizes) -> str:
+    """The electrode, where it is less than the film."""
+    if (sizes.active_length_mm, sizes.active_width_mm) == (sizes.length_mm, sizes.width_mm):
+        return ""
+    return f", {sizes.active_length_mm:.4g} × {sizes.active_width_mm:.4g} mm of it under the electrode"
+
+
 def _assume(source: _Source, asked: DesignAsked, own: Sequence[str]) -> list[str]:
     scatter = (
         f"{100 * asked.modulus_scatter:g} % of stiffness and {100 * asked.thickness_scatter:g} % of thickness from film"
@@ -361,8 +368,8 @@ def _specify(source: _Source, asked: DesignAsked, form: str) -> tuple[str, str]:
     ]  # fmt: skip
     title = (
         f"{asked.specimen}: {_count(sizes.layers, 'layer')} side by side, {_count(sizes.strips, 'strip')} behind each"
-        f" other, each {sizes.length_mm:.4g} × {sizes.width_mm:.4g} mm stretched, {layer:.3g} mm undeformed,"
-        f" at {voltage:.3g} kV"
+        f" other, each {sizes.length_mm:.4g} × {sizes.width_mm:.4g} mm stretched{_tell_electrode(sizes)},"
+        f" {layer:.3g} mm undeformed, at {voltage:.3g} kV"
     )
     many = "no number of such films gives 0.4 N at 1 mm and 10 Hz at once"
     if few is not None:
@@ -409,8 +416,8 @@ def _find(source: _Source, asked: DesignAsked, form: str) -> tuple[str, str]:
     thick = ", ".join(f"{t:.3g}" for t in space.thicknesses_mm)
     searched = (
         f"searched: voltages up to {space.highest_kv:.3g} kV, layers up to {space.most_layers}, strips up to"
-        f" {space.most_strips}, each {sizes.length_mm:.4g} × {sizes.width_mm:.4g} mm stretched, undeformed {thick} mm"
-        " thick"
+        f" {space.most_strips}, each {sizes.length_mm:.4g} × {sizes.width_mm:.4g} mm stretched{_tell_electrode(sizes)},"
+        f" undeformed {thick} mm thick"
     )
     assumed = _assume(source, asked, own)
     assumed.append(

@@ -157,7 +157,7 @@ def _comparison(chosen: _Chosen, keep: Keep) -> Figure | None:
         if after > _LEFT:
             share = 1 - (after / data.rms(data.plain)) ** 2
             explained = percent(share) if share > _EXPLAINED else "nothing"
-            left = f" The cause explains {explained} of it; what is left is still no noise (1)."
+            left = f" The cause explains {explained} of it; what is left is more than noise, which would be 1."
     if data.turned:
         words = f"mostly in phase, {words}"
     about = kind_of(kind).words
