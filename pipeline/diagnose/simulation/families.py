@@ -62,11 +62,11 @@ class Family:
 
         Its predictions raise `Elsewhere` where a resonance is not carried by them.
         """
-        # What a family does not see between the ends of its nodes may hold the resonance.
-        within = self._nodes[(self._nodes >= self.frequency[0]) & (self._nodes <= self.frequency[-1])]
-        rig, whole = rig_of(physical, self.rig, NONE), replace(self.view, frequency_hz=within[None, :])
+        # A resonance beyond what a family sees is near to its end: all nodes are asked where it is.
+        rig, whole = rig_of(physical, self.rig, NONE), replace(self.view, frequency_hz=self._nodes[None, :])
         k = film_at(physical, NONE, whole).k
-        found = fewer_nodes(within, rig.loaded(k, dynamic(rig, whole, NONE, k))[0])
+        ends = float(self.frequency[0]), float(self.frequency[-1])
+        found = fewer_nodes(self._nodes, rig.loaded(k, dynamic(rig, whole, NONE, k))[0], ends)
         if found.size > _WORTH * self.frequency.size or found.size <= POINTS:
             return None
         weights = interpolation(found, self.frequency, POINTS)

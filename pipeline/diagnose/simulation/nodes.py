@@ -62,15 +62,20 @@ def _graded(
     return np.array(x)
 
 
-def fewer_nodes(nodes: Float, impedance: Complex) -> Float:
-    """(j,) Hz, ascending, over the range of nodes (J,) of which the first may be 0: dense about the resonance of one film and rig.
+def fewer_nodes(nodes: Float, impedance: Complex, ends: tuple[float, float]) -> Float:
+    """(j,) Hz, ascending, between the ends: dense about the resonance of one film and rig, and towards it where it lies beyond an end.
 
+    Parameters
+    ----------
+    nodes : (J,) Hz, of which the first may be 0, over any range that holds the ends
     impedance : (J,) 1 + (−Mω² + jωcL)/kL + k/kL at the nodes; its real part changes sign at the resonance. `carried` says of other
         films and rigs whether these nodes do for them, with polynomials through `POINTS` of them.
+    ends : lowest and highest frequency that is needed, Hz; a lowest of 0 is a node
     """
     still = int(nodes[0] <= 0)
     x, z = np.log(nodes[still:]), impedance[still:]
-    coarse, whole = math.log(10) / _FEWER_PER_DECADE, (float(x[0]), float(x[-1]))
+    coarse = math.log(10) / _FEWER_PER_DECADE
+    whole = (max(float(x[0]), math.log(ends[0])) if ends[0] > 0 else float(x[0])), math.log(ends[1])
     at = np.flatnonzero((z.real[:-1] > 0) != (z.real[1:] > 0))
     if at.size:
         i = int(at[0])
@@ -81,7 +86,7 @@ def fewer_nodes(nodes: Float, impedance: Complex) -> Float:
         found = _graded(whole, (middle - _ABOUT, middle + _ABOUT), fine, coarse, _FEWER_GRADED)
     else:
         found = np.arange(whole[0], whole[1] + coarse, coarse)
-    return np.concatenate([np.zeros(still), np.exp(found)])
+    return np.concatenate([np.zeros(int(ends[0] <= 0)), np.exp(found)])
 
 
 class Elsewhere(Exception):
