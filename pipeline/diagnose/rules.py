@@ -369,9 +369,6 @@ class FaultRules:
     misses_ratio: float = _rule(2.0, "its χ² per value over that of the others from which it does", CLEAN)
     astray: float = _rule(20.0, "χ² per value from which the films of single sweeps are tried as starts", COST)
     agrees: float = _rule(1.5, "χ² per value up to which recordings agree with each other", CLEAN)
-    noise_off: float = _rule(
-        3.0, "the same where the noise may be misjudged: it is next to nothing of the misfit", CLEAN
-    )
     smoother: float = _rule(
         0.7, "roughness of the film with a corrected rig, over that without, up to which it is tried"
     )

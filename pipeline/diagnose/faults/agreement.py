@@ -37,6 +37,8 @@ _ROUNDS = 10
 """Rounds of reweighting at most."""
 _SETTLED = 1e-4
 """Change of every entry below which the weights are settled."""
+LOUDEST = max(RULES.form.louder) ** 2
+"""χ² per value that a test leaves where its noise is as loud as it may be over that of its rests."""
 _STARTS = 3
 """Sweeps whose own films a fit is begun from."""
 
@@ -106,9 +108,12 @@ def miss(chi2: Float, size: Float, dispersion: float) -> Bool:
 
 
 def agrees(left: float, before: float) -> bool:
-    """Whether χ² per value says that recordings agree, where it was `before` without the fault that they are asked for."""
+    """Whether χ² per value says that recordings agree, where it was `before` without the fault that they are asked for.
+
+    What is left may be noise that is louder than that of the rests, where it is next to nothing of what was wrong.
+    """
     rules = RULES.fault
-    return left <= rules.agrees or (left <= rules.noise_off and left <= rules.form_error * before)
+    return left <= rules.agrees or (left <= LOUDEST and left <= rules.form_error * before)
 
 
 def find_agreement(session: Session, simulation: Simulation, plain: PlainFit) -> Agreement:

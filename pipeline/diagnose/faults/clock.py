@@ -138,7 +138,8 @@ def find_late(
     if not scanned:
         return None
     _, start, way = min(scanned, key=lambda item: item[0])
-    late = _follow(asked, way, start, plain)
+    # From the film that the recordings have once they are put right: that of the plain fit is bent by the drift.
+    late = _follow(asked, way, start, fit_session(way.put_right(asked, start))[2])
     if not agrees(measure_left(session, late.chi2), before):
         return None
     size = late.size
@@ -189,7 +190,7 @@ def _scan(session: Session, way: _Way) -> tuple[float, float] | None:
 
 def _follow(recordings: Sequence[RecordingFeatures], way: _Way, start: float, near: PlainFit) -> _Late:
     """The drift or delay from a value nearby, sought anew from where its search ended until it moves no more or explains no more."""
-    found = _refine(recordings, way, start, near, afresh=True)
+    found = _refine(recordings, way, start, near)
     for _ in range(_ROUNDS - 1):
         last, found = found, _refine(recordings, way, found.size, found.plain)
         if abs(found.size - last.size) < _SETTLED * abs(found.size) or found.chi2 > last.chi2:

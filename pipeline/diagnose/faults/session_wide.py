@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from pipeline.diagnose.faults import fault as ids
-from pipeline.diagnose.faults.agreement import agrees, count_chi2, measure_left
+from pipeline.diagnose.faults.agreement import LOUDEST, agrees, count_chi2, measure_left
 from pipeline.diagnose.faults.correct import write
 from pipeline.diagnose.faults.fault import Correction, Fault, say_times
 from pipeline.diagnose.faults.fitted import Fitted, fit_session
@@ -562,7 +562,7 @@ def find_wrong_sizes(fitted: Fitted) -> Fault | None:
     """The actuation against what thickness, width and permittivity promise: they show in nothing else."""
     session, _, plain = fitted
     place = plain.model.index("log actuation")
-    if place is None or measure_left(session, count_chi2(session, plain.misfit)) > RULES.fault.noise_off:
+    if place is None or measure_left(session, count_chi2(session, plain.misfit)) > LOUDEST:
         return None
     sd = float(plain.model.prior_sd[place])
     ratio = float(plain.theta[place] - plain.model.prior_mean[place])
