@@ -32,6 +32,8 @@ def list_corrections(own: RecordingFeatures, hypothesis: Hypothesis, probability
         pairs = [(f"columns.{channel}.time_scale", "1", write_ratio(1 / (1 + hypothesis.late[1])))]
     elif cause == ids.FOREIGN_RECORDING:
         pairs = [("specimen_id", own.specimen_id, "")]
+    elif cause == ids.FOREIGN_RIG and own.rig.rig_id:
+        pairs = [("rig_id", own.rig.rig_id, "")]
     return tuple(Correction(own.recording_id, cause, key, now, then, probability) for key, now, then in pairs)
 
 

@@ -224,7 +224,7 @@ def _judge_each(
         fault = judged(suspect)
         if fault is not None:
             told[tuple(numbers)] = fault
-        elif len(numbers) == 1 and whole.recordings[numbers[0]].recording_id in outside:
+        elif len(numbers) == 1:
             doubt = doubt_film(suspect)
             if doubt is not None:
                 doubts[doubt.recording_id] = doubt

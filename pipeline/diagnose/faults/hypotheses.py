@@ -24,6 +24,8 @@ SOUND, MECHANISM = "", "mechanism"
 """What is no fault: the recording is as it should be; the film or the rig does there what the plain model does not."""
 ANOTHER_FILM = "its film is not that of the others"
 """What is said of a foreign recording."""
+ANOTHER_RIG = "a rig of another clamp and load cell explains it, with the film of the others"
+"""What is said of a recording that was made on another rig than its metadata name."""
 _POUND_FORCE, _EFFECTIVE = 4.4482216, 2.0**0.5
 """N of a pound-force; amplitude over effective value of a sinusoid."""
 _FORCE_SLIPS = (
@@ -48,6 +50,8 @@ _EXACT = 1e-6
 """Share of the distance of two places to which a continuous parameter is found."""
 _OF_FILM = 4
 """Parameters of a film of its own that one recording shows."""
+_OF_RIG = 3
+"""Parameters of a rig of its own: mass, stiffness and damping."""
 _NOTHING_LEFT = 0.02
 """Response over that predicted below which hardly any is left."""
 _NOT_SIMULATED = 0.1
@@ -121,6 +125,8 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanisms: Mechanisms) ->
         yield Hypothesis(ids.FOREIGN_RIG, words, lambda: suspect.sound, prior, shows=frozenset({"rig"}))
     else:
         yield Hypothesis(SOUND, "", lambda: suspect.sound, 0.0)
+        if not suspect.is_electrical:
+            yield Hypothesis(ids.FOREIGN_RIG, ANOTHER_RIG, None, prior, _OF_RIG, own_chi2=lambda: suspect.own_rig_chi2)
     yield Hypothesis(MECHANISM, "", None, 0.0)
     size = _weigh_size(suspect, suspect.sound, RULES.fault.mechanism_scale)
     for probability, free, own_chi2 in (

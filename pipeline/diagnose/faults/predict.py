@@ -31,6 +31,10 @@ from schemas.protocols import ELECTRICAL, MECHANICAL
 
 _OTHER_FILMS = (0.1, 10.0)
 """Least and largest stiffness of another film over that of the others at which its search begins."""
+_OTHER_CLAMPS = (1.0, 0.4, 0.7, 1.4, 2.5)
+"""Masses of another rig's clamp over that of the others at which its search begins."""
+_ANY_RIG = 1e3
+"""Standard deviations of its file within which another rig's constants are searched: as good as any."""
 _FAR = 30.0
 """How far an entry of it may be from that of the others, in logarithms."""
 _ANY_ACTUATION = float(np.log(1000.0))
@@ -242,6 +246,17 @@ class Suspect:
         return self._fit_film((self._springs | self._is_actuation).astype(float)[None])
 
     @cached_property
+    def own_rig_chi2(self) -> float:
+        """χ² on a rig of its own, with the film of the others."""
+        model, theta = self.fit.model, self.fit.theta
+        is_rig = np.array([name.startswith(f"rig {self.rig} ") for name in model.names])
+        clamps = [(model.with_clamps(theta, ratio) - theta)[is_rig] for ratio in _OTHER_CLAMPS]
+        low, high = (
+            np.where(is_rig, side * _ANY_RIG, bound) for side, bound in zip((-1, 1), make_bounds(model), strict=True)
+        )
+        return self._fit_moved(np.eye(is_rig.size)[is_rig], clamps, (low, high))
+
+    @cached_property
     def _springs(self) -> Bool:
         return np.array([name.startswith("log k") for name in self.fit.model.names])
 
@@ -250,24 +265,32 @@ class Suspect:
         return np.array([name == ACTUATION for name in self.fit.model.names])
 
     def _fit_film(self, ways: Float) -> float:
-        """χ² with entries moved along some ways (w, P) by any amount, and along the others as far as these are known."""
+        """χ² with the film moved along some ways (w, P) by any amount."""
+        size = float(np.log(np.clip(abs(self.measure_scale(self.sound)), *_OTHER_FILMS)))
+        along = (ways @ self._springs > 0).astype(float)
+        return self._fit_moved(ways, [0.0 * along, size * along], make_bounds(self.fit.model))
+
+    def _fit_moved(self, ways: Float, starts: Sequence[Float], bounds: tuple[Float, Float]) -> float:
+        """χ² with entries moved along some ways (w, P) by any amount within bounds (P,), and along the others as far as these are known.
+
+        Parameters
+        ----------
+        starts : (w,) amounts each at which the search begins
+        """
         model, theta = self.fit.model, self.fit.theta
         beside = ~(ways != 0).any(axis=0)
         known = find_marginal_root(self.fit.solution.information, beside)
         every = np.concatenate([ways, np.eye(theta.size)[beside]])
-        low, high = make_bounds(model)
 
         def residuals(several: Float) -> Float:
-            moved = np.clip(theta + several @ every, low, high)
+            moved = np.clip(theta + several @ every, *bounds)
             made = self.simulation.predict_several(model, moved)
             data = self.own.whiten((self.own.value - made).T).T
             return np.concatenate([data, (moved - theta)[:, beside] @ known.T], axis=1)
 
-        size = float(np.log(np.clip(abs(self.measure_scale(self.sound)), *_OTHER_FILMS)))
-        along = (ways @ self._springs > 0).astype(float)
-        far = np.full(len(every), _FAR)
-        starts = [shift * np.concatenate([along, np.zeros(beside.sum())]) for shift in (0.0, size)]
-        return min(minimise(residuals, start, -far, far, most=_STEPS).chi2 for start in starts)
+        far = np.full(len(every), max(_FAR, *(2 * float(np.abs(start).max(initial=0.0)) for start in starts)))
+        begins = [np.concatenate([start, np.zeros(beside.sum())]) for start in starts]
+        return min(minimise(residuals, begin, -far, far, most=_STEPS).chi2 for begin in begins)
 
     @cached_property
     def sound_chi2(self) -> float:
