@@ -117,22 +117,26 @@ def agrees(left: float, before: float) -> bool:
 
 
 def find_agreement(session: Session, simulation: Simulation, plain: PlainFit) -> Agreement:
-    """The fit that most recordings agree on, from the plain fit and from the films of single sweeps."""
+    """The fit that most recordings agree on, from the plain fit; where more than one misses that, from the films of single sweeps and of the
+    session without what is roughest as well.
+    """
     found = _reweigh(session, simulation, plain)
-    if (
-        found[1] > _cost_of_noise(session)
-        and measure_left(session, count_chi2(session, plain.misfit)) > RULES.fault.astray
-    ):
+    if measure_left(session, count_chi2(session, plain.misfit)) > RULES.fault.astray:
         for make_starts in (_fit_sweeps, _fit_without_rough):
+            if _find_missing(session, found[0]).sum() <= 1:
+                break
             for start in make_starts(session):
                 found = min(found, _reweigh(session, simulation, start), key=lambda pair: pair[1])
-                if found[1] <= _cost_of_noise(session):
-                    break
     chi2, size = sum_by_recording(session, found[0].misfit)
+    return Agreement(found[0], chi2, size, _find_missing(session, found[0]))
+
+
+def _find_missing(session: Session, fit: PlainFit) -> Bool:
+    """(R,) recordings that miss a fit by more than the better half of them does."""
+    chi2, size = sum_by_recording(session, fit.misfit)
     order = np.argsort(chi2 / np.maximum(size, 1.0))
     best = order[: max(len(order) // 2, 1)]
-    outside = miss(chi2, size, float(chi2[best].sum() / max(size[best].sum(), 1.0)))
-    return Agreement(found[0], chi2, size, outside)
+    return miss(chi2, size, float(chi2[best].sum() / max(size[best].sum(), 1.0)))
 
 
 def leave_out(session: Session, simulation: Simulation, fit: PlainFit, outside: Bool) -> PlainFit:
@@ -144,12 +148,6 @@ def leave_out(session: Session, simulation: Simulation, fit: PlainFit, outside: 
     found = minimise(partial(_weigh, session, about, fit.model, kept), fit.theta, *make_bounds(fit.model))
     whole = compute_residuals(session, about, fit.model, found.x[None])[0]
     return PlainFit(fit.model, found.x, found, found.chi2, whole[: session.size])
-
-
-def _cost_of_noise(session: Session) -> float:
-    """What recordings that all miss by no more than noise cost."""
-    size = np.bincount(session.recording_of, minlength=len(session.recordings))
-    return float(np.sum((_NU + size) * np.log1p(RULES.fault.misses_ratio * size / _NU)))
 
 
 def _weigh(session: Session, simulation: Simulation, model: BaseModel, weight: Float, several: Float) -> Float:
