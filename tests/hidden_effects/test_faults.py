@@ -24,7 +24,7 @@ from pipeline.diagnose.simulation.session import make_session as join_features
 from pipeline.simulate.campaign import packaged_campaigns, read_campaign, simulate_one
 from schemas.recording import Recording
 from tests.helpers.everyday_faults import EDITS, change_metadata, mix_in
-from tests.helpers.truth_rig import KINDS, compact_session, make_session
+from tests.helpers.truth_rig import KINDS, compact_designs, compact_session, make_session
 
 SEED, ANOTHER_SEED = 990_000_001, 990_000_002
 
@@ -94,6 +94,19 @@ def test_a_foreign_recording_is_told_beside_a_mechanism_that_others_show() -> No
     assert [(f.cause, f.recordings) for f in checked.faults] == [
         ("foreign_recording", (session[number].metadata.recording_id,))
     ]
+
+
+def test_a_sweep_on_another_rig_than_its_metadata_name_is_foreign_to_the_rig() -> None:
+    """Its clamp is heavier by a mass that nobody wrote down; no film explains it, and it was said to be anything."""
+    designs = list(compact_designs())
+    number = max(i for i, design in enumerate(designs) if design["protocol"] == "chirp")
+    designs[number] = {**designs[number], "extra_clamp_mass_kg": 0.2}
+    session = list(make_session(SEED, designs).recordings)
+    metadata = replace(session[number].metadata, extra_clamp_mass_kg=None)
+    session[number] = replace(session[number], metadata=metadata)
+    (fault,) = check_recordings([reduce(r) for r in session]).faults
+    assert (fault.cause, fault.recordings) == ("foreign_rig", (metadata.recording_id,))
+    assert [(c.key, c.value_proposed) for c in fault.corrections] == [("rig_id", "")]
 
 
 def session_of_demonstration(**mislabelled: Any) -> list[RecordingFeatures]:
