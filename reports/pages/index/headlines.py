@@ -195,7 +195,7 @@ def _unread(site: Site) -> list[Row]:
 
 
 def _damaged(site: Site) -> list[Row]:
-    """The recordings of the last night of which a part could not be read, in one line; no line where there are none."""
+    """The recordings of which a part could not be read, in one line; no line where there are none."""
     rows = trouble.list_damaged(site)
     if not rows:
         return []
@@ -203,9 +203,9 @@ def _damaged(site: Site) -> list[Row]:
     more = len(rows) - len(shown)
     who = listed([*shown, f"{digits(more, 'other recording')}"] if more else shown)
     what = listing.problem(rows[0]["problem"]) if len(rows) == 1 else "Parts of them could not be read."
-    todo = "Copy it again from the rig if it is whole there; what could be read is used."
+    todo = "What could be read is used. Copy it again from the rig if it is whole there, or exclude it."
     if len(rows) > 1:
-        todo = "Copy them again from the rig if they are whole there; what could be read is used."
+        todo = "What could be read is used. Copy them again from the rig if they are whole there, or exclude them."
     return [Row((who, what, todo))]
 
 

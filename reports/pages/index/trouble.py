@@ -139,9 +139,10 @@ def list_unmapped(site: Site) -> list[str]:
 
 
 def list_damaged(site: Site) -> list[Record]:
-    """The recordings of the last run of which a part could not be read, with what is missing."""
+    """The recordings of which a part could not be read, with what is missing, those of the last run first."""
     return site.results.rows(
-        f"SELECT recording_id, problem FROM recordings WHERE status = 'damaged' AND run_id = {LAST_RUN} ORDER BY recording_id"
+        "SELECT recording_id, problem FROM recordings WHERE status = 'damaged'\n"
+        f"ORDER BY run_id IS NOT DISTINCT FROM {LAST_RUN} DESC, recording_id"
     )
 
 
