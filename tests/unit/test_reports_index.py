@@ -79,6 +79,17 @@ def test_a_night_of_one_file_without_a_mapping_says_what_to_do(tmp_path: Path) -
     assert "dealab add /raw/run-7.csv" in page[page.index("In short, what was found") :].partition("</table>")[0]
 
 
+def test_a_recording_that_was_read_in_part_stands_among_what_is_to_be_done(tmp_path: Path) -> None:
+    """The file without a mapping did, and the truncated one beside it did not."""
+    story = Story()
+    story.recording("W-2_chirp", "W-2", "chirp", "mechanical", status="damaged", problem="the file ends after 3.2 s")
+    page = build_index(story, tmp_path)
+    table = page[page.index("In short, what was found") :].partition("</table>")[0]
+    assert "W-2_chirp" in table
+    assert "the file ends after 3.2 s" in table
+    assert "Copy it again from the rig" in table
+
+
 def test_the_page_of_a_specimen_with_negative_losses_says_so_first(tmp_path: Path) -> None:
     story = Story()
     tell(story, "W-1", "wrinkling")
