@@ -247,6 +247,11 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
         hypotheses, further = name_regions(hypotheses, further, base.model)
         regions += further
     posterior = Posterior.of([noise, agreed, *hypotheses, *regions])
+    first = posterior.hypotheses[0]
+    if lag is not None and first.causes == lag.of.mechanism_ids:
+        # Beside a lag that does best alone, causes that nothing shows are no doubt about it: as where no amplifier lags.
+        if _test_again(beside, first, in_doubt=True) >= RULES.alarm.mechanism_level:
+            posterior = Posterior.of([noise, agreed, first])
     if noise in posterior.find_set(RULES.verdict.credible):
         # Where nothing is more probable than its noise, that is as loud as the session makes it, and known no better.
         again = _test_again(changes, noise, in_doubt=noise is posterior.hypotheses[0])

@@ -348,7 +348,7 @@ def regions(rows: Sequence[Share], *, alt: str) -> Drawing:
             panel.dots([100 * row.predicted], [i], INK, 8.0, marker="diamond", open_=True)
         drawing.write(panel.right + 12, y + 4, f"{row.count} of {row.total}", size=11.3, colour=SECOND)
     if any(r.predicted is not None for r in rows):
-        note(drawing, panel.right + 24, panel.bottom + 17, "◇ expected", INK)
+        note(drawing, panel.right + 16, panel.bottom + 17, "◇ expected", INK)
     return drawing.told(alt)
 
 

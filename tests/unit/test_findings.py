@@ -91,7 +91,7 @@ def test_causes_that_cannot_be_told_apart_are_both_named_without_sizes(lab: Lab)
     first = told(lab, "S-2").splitlines()[0]
     assert (
         first
-        == "◐ S-2: either the film goes slack or the film stiffens with strain; these recordings cannot tell which (ambiguous)."
+        == "◐ S-2: either the film goes slack, or the film stiffens or softens with strain; these recordings cannot tell which (ambiguous)."
     )
     assert "Cannot be told apart: slack; strain_stiffening" in told(lab, "S-2")
 
