@@ -247,11 +247,8 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
         hypotheses, further = name_regions(hypotheses, further, base.model)
         regions += further
     posterior = Posterior.of([noise, agreed, *hypotheses, *regions])
-    first = posterior.hypotheses[0]
-    if lag is not None and first.causes == lag.of.mechanism_ids:
-        # Beside a lag that does best alone, causes that nothing shows are no doubt about it: as where no amplifier lags.
-        if _test_again(beside, first, in_doubt=True) >= RULES.alarm.mechanism_level:
-            posterior = Posterior.of([noise, agreed, first])
+    if lag is not None and _is_all_there_is(lag, posterior, beside):
+        posterior = Posterior.of([noise, agreed, posterior.hypotheses[0]])
     if noise in posterior.find_set(RULES.verdict.credible):
         # Where nothing is more probable than its noise, that is as loud as the session makes it, and known no better.
         again = _test_again(changes, noise, in_doubt=noise is posterior.hypotheses[0])
@@ -278,7 +275,7 @@ def _screen(of: Extended, start: Float) -> tuple[Secants, Evidence]:
 
 
 def _test_again(changes: Secants, noise: Hypothesis, *, in_doubt: bool) -> float:
-    """Probability of what the search finds by chance under the weights that the likelihood gives the plain model."""
+    """Probability of what the search finds by chance under the weights that the likelihood gives a hypothesis of noise, or of a lag."""
     signatures = compute_signatures(changes, noise.model)
     scores = find_best_scores(signatures)
     if not scores:
@@ -286,6 +283,17 @@ def _test_again(changes: Secants, noise: Hypothesis, *, in_doubt: bool) -> float
     found = scores[0].statistic
     spread = RULES.detectable.noise_spread
     return signatures.compute_p_in_doubt(found, spread) if in_doubt else signatures.compute_p(found)
+
+
+def _is_all_there_is(lag: ExtendedFit, posterior: Posterior, beside: Secants) -> bool:
+    """Whether the lag of the amplifier does best alone, and what the search finds beside it is chance: as little a doubt about it as where no
+    amplifier lags.
+    """
+    first = posterior.hypotheses[0]
+    return (
+        first.causes == lag.of.mechanism_ids
+        and _test_again(beside, first, in_doubt=True) >= RULES.alarm.mechanism_level
+    )
 
 
 def _fit_under_noise(of: Extended, start: Float) -> ExtendedFit:
