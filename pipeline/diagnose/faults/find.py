@@ -201,8 +201,8 @@ def _judge_each(
     suspects: frozenset[str],
     outside: frozenset[str],
 ) -> tuple[list[Fault], list[Doubt]]:
-    """Faults of single recordings: of those whose levels are odd, and of those that miss the film the others agree on; and what of the
-    latter may be of another film."""
+    """Faults of single recordings: of those whose levels are odd, and of those that miss the film the others agree on; and which of them may
+    be of another film."""
     session, simulation, plain = first
     before = measure_left(session, count_chi2(session, plain.misfit))
     base, dispersion = plain, before

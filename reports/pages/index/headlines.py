@@ -48,8 +48,8 @@ _LIMITS = 4
 """Films and electrodes beyond their limit with a finding of their own."""
 _TO_DO = 2, 6
 """Lines of what to do from which on they are worth a table, and most of them in it that are about specimens."""
-_UNMAPPED = 3
-"""Files without a mapping that are named."""
+_NAMED = 3
+"""Files without a mapping, or damaged recordings, that are named."""
 _POINTS = 2
 """Points out of control with a finding of their own."""
 
@@ -184,9 +184,7 @@ def _unread(site: Site) -> list[Row]:
     paths = trouble.list_unmapped(site)
     if not paths:
         return []
-    shown = [code(short(path.rpartition("/")[2], 80)) for path in paths[:_UNMAPPED]]
-    more = len(paths) - len(shown)
-    files = listed([*shown, f"{digits(more, 'other file')}"] if more else shown)
+    files = _list_some([code(short(path.rpartition("/")[2], 80)) for path in paths], "file")
     verb, they = ("has", "it was") if len(paths) == 1 else ("have", "they were")
     todo = flow(code(f"dealab add {quote_path(short(paths[0], 300))}"), " makes one and asks for what it cannot tell.")
     if len(paths) > 1:
@@ -194,18 +192,21 @@ def _unread(site: Site) -> list[Row]:
     return [Row((files, f"{capital(verb)} no mapping: {they} not read.", todo))]
 
 
+def _list_some(items: Sequence[Piece], what: str) -> Piece:
+    """The first of some files or recordings, and how many others there are."""
+    more = len(items) - _NAMED
+    return listed([*items[:_NAMED], *([digits(more, f"other {what}")] if more > 0 else [])])
+
+
 def _damaged(site: Site) -> list[Row]:
     """The recordings of which a part could not be read, in one line; no line where there are none."""
     rows = trouble.list_damaged(site)
     if not rows:
         return []
-    shown = [site.recording(r["recording_id"], "") for r in rows[:_UNMAPPED]]
-    more = len(rows) - len(shown)
-    who = listed([*shown, f"{digits(more, 'other recording')}"] if more else shown)
+    who = _list_some([site.recording(r["recording_id"], "") for r in rows], "recording")
     what = listing.problem(rows[0]["problem"]) if len(rows) == 1 else "Parts of them could not be read."
-    todo = "What could be read is used. Copy it again from the rig if it is whole there, or exclude it."
-    if len(rows) > 1:
-        todo = "What could be read is used. Copy them again from the rig if they are whole there, or exclude them."
+    it, is_whole = ("it", "it is") if len(rows) == 1 else ("them", "they are")
+    todo = f"What could be read is used. Copy {it} again from the rig if {is_whole} whole there, or exclude {it}."
     return [Row((who, what, todo))]
 
 
