@@ -138,6 +138,9 @@ class FitRules:
 
     mechanisms: int = _rule(8, "mechanisms of the screen that are fitted at least", STUDY, "mechanisms")
     variants: int = _rule(2, "variants of a mechanism that are fitted at most", COST, "variants")
+    close_further: float = _rule(
+        0.5, "share of the best mechanism's score from which another is fitted beside the causes so far", COST
+    )
     close_variant: float = _rule(0.5, "share of the best variant's score that the second must have", COST)
     starts: int = _rule(
         3, "starts, beside the screen's own, of a mechanism whose place the plain model can take", STUDY, "starts"

@@ -212,6 +212,7 @@ FIRST_SWEEP = pick("chirp", "mechanical", 0)
 LAST_SWEEP = pick("chirp", "mechanical", -1)
 SINE = pick("cyclic", "mechanical", 0)
 LARGEST_SINE = pick("cyclic", "mechanical", -1)
+STEP = pick("step", "mechanical", 0)
 MULTISINE = pick("sphs", "electrical", 0)
 Chosen = Callable[[Recordings], tuple[int, ...]]
 
@@ -304,6 +305,17 @@ EDITS: Mapping[str, Edit] = {
     "one sweep clipped at 60 %": Edit("sensor_saturation", SWEEP, lambda r: change_channel(r, "force", clip(0.6))),
     "displacement of one sine clipped at 60 %": Edit(
         "sensor_saturation", LARGEST_SINE, lambda r: change_channel(r, "displacement", clip(0.6))
+    ),
+    "displacement of one sweep clipped at 20 %": Edit(
+        "sensor_saturation", SWEEP, lambda r: change_channel(r, "displacement", clip(0.2))
+    ),
+    "one sine clipped at 10 %": Edit(
+        "sensor_saturation", LARGEST_SINE, lambda r: change_channel(r, "force", clip(0.1))
+    ),
+    "force of one relaxation clipped where it rests": Edit(
+        "sensor_saturation",
+        STEP,
+        lambda r: change_channel(r, "force", lambda v: np.maximum(v, v[:50].max() + 0.05 * np.ptp(v))),
     ),
     "force of one sweep drops out": Edit(
         "dead_channel", SWEEP, lambda r: change_channel(r, "force", drop_out(0.4, 0.45))

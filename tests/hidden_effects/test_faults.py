@@ -23,7 +23,7 @@ from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.simulation.session import make_session as join_features
 from pipeline.simulate.campaign import packaged_campaigns, read_campaign, simulate_one
 from schemas.recording import Recording
-from tests.helpers.everyday_faults import EDITS, change_metadata, mix_in
+from tests.helpers.everyday_faults import EDITS, change_channel, change_metadata, mix_in
 from tests.helpers.truth_rig import KINDS, compact_designs, compact_session, make_session
 
 SEED, ANOTHER_SEED = 990_000_001, 990_000_002
@@ -107,6 +107,29 @@ def test_a_sweep_on_another_rig_than_its_metadata_name_is_foreign_to_the_rig() -
     (fault,) = check_recordings([reduce(r) for r in session]).faults
     assert (fault.cause, fault.recordings) == ("foreign_rig", (metadata.recording_id,))
     assert [(c.key, c.value_proposed) for c in fault.corrections] == [("rig_id", "")]
+
+
+def test_tests_from_one_on_that_a_rig_of_their_own_explains_are_foreign_to_the_rig() -> None:
+    """Its clamp is heavier, which was said to be another film, or anything."""
+    sweeps = [design for design in compact_designs() if design["protocol"] == "chirp"]
+    rest = [design for design in compact_designs() if design["protocol"] not in ("chirp", "tap")]
+    designs = [*sweeps, *rest, *({**design, "extra_clamp_mass_kg": 0.2} for design in sweeps)]
+    made = make_session(SEED, designs).recordings
+    session = [replace(r, metadata=replace(r.metadata, extra_clamp_mass_kg=None)) for r in made]
+    (fault,) = check_recordings([reduce(r) for r in session]).faults
+    assert fault.cause == "foreign_rig"
+    assert fault.recordings == tuple(r.metadata.recording_id for r in session[-len(sweeps) :])
+
+
+def test_a_slip_of_the_last_sweep_is_no_change_of_the_film() -> None:
+    """Nothing but it and the first one pulls at the film: a film that changed before all other tests left less than the slip had made."""
+    protocols = [(r.metadata.protocol, r.metadata.loading) for r in recordings()]
+    own = [n for n, p in enumerate(protocols) if p == ("chirp", "mechanical") or p[1] == "electrical"]
+    last = max(n for n in own if protocols[n][0] == "chirp")
+    chosen = sorted({own[0], last} | {n for n in own if protocols[n][1] == "electrical"}, key=lambda n: (n == last, n))
+    slip = reduce(change_channel(recordings()[last], "displacement", lambda v: v * 2 * 2**0.5))
+    (fault,) = check_recordings([slip if n == last else sound()[n] for n in chosen]).faults
+    assert (fault.cause, fault.recordings) == ("unit_slip", (slip.recording_id,))
 
 
 def session_of_demonstration(**mislabelled: Any) -> list[RecordingFeatures]:

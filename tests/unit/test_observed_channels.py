@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.diagnose.features.observed import find_stopped, find_unmoved, read_period, repeats_after
+from pipeline.diagnose.features.observed import find_still_rest, find_stopped, find_unmoved, read_period, repeats_after
 
 
 def multisine(period: int, count: int, seed: int = 1) -> np.ndarray:
@@ -90,3 +90,12 @@ def test_a_motion_in_another_unit_does_not_stand_still() -> None:
     moved = 1e-3 * np.sin(2 * np.pi * np.arange(4000) / 50)
     values = {"stated_pp_mm": 1.0, "seen_pp_mm": float(np.ptp(moved))}
     assert not find_unmoved(values, "pp_mm", moved, "displacement")
+
+
+def test_a_rest_without_noise_was_clipped_where_the_rest_of_the_record_has_some() -> None:
+    """A converter too coarse for the noise, and the zeros that a recorder writes before it is triggered, are no flat top."""
+    rng = np.random.default_rng(5)
+    force = np.concatenate([np.full(200, 4.6), 6.0 + rng.normal(0, 0.01, 3000)]).round(3)
+    assert find_still_rest(force).sum() == 200
+    assert not find_still_rest(np.concatenate([np.zeros(200), force[200:]])).any()
+    assert not find_still_rest(np.round(force / 0.05) * 0.05).any()

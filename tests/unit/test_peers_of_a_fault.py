@@ -9,7 +9,7 @@ from typing import cast
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.diagnose.faults.find import _list_peers
+from pipeline.diagnose.faults.peers import list_peers
 from pipeline.diagnose.simulation.session import Session
 from tests.unit.test_diagnosis_tables import recording
 
@@ -23,4 +23,4 @@ def test_few_that_agree_are_what_the_film_was_fitted_to(made: list[tuple[str, bo
     for own in recordings:
         alike = [r for r in recordings if r.loading == own.loading]
         agreeing = [r for r in alike if r.recording_id not in asked]
-        assert _list_peers(own, session, asked) == (agreeing if len(agreeing) >= len(alike) - len(agreeing) else [])
+        assert list_peers(own, session, asked) == (agreeing if len(agreeing) >= len(alike) - len(agreeing) else [])

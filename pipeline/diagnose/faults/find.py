@@ -20,6 +20,7 @@ from pipeline.diagnose.faults.agreement import (
     sum_by_recording,
 )
 from pipeline.diagnose.faults.another_film import Doubt, doubt_film
+from pipeline.diagnose.faults.another_rig import find_another_rig
 from pipeline.diagnose.faults.change import find_change, merge_foreign
 from pipeline.diagnose.faults.clock import find_late
 from pipeline.diagnose.faults.correct import list_corrections
@@ -27,6 +28,7 @@ from pipeline.diagnose.faults.fault import DEAD_CHANNEL, STRAIN_WRONG, Fault
 from pipeline.diagnose.faults.fitted import Fitted, assemble_session, fit_session
 from pipeline.diagnose.faults.hypotheses import MECHANISM, SOUND, Judged, Mechanisms, judge_hypotheses
 from pipeline.diagnose.faults.levels import Levels, name_clamp, read_levels
+from pipeline.diagnose.faults.peers import has_peer, list_peers
 from pipeline.diagnose.faults.predict import Suspect
 from pipeline.diagnose.faults.session_wide import (
     find_contradicting_lengths,
@@ -119,11 +121,14 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
         recordings, fitted, fault = late
         found.append(fault)
     outside, agreement = _find_outside(*fitted)
-    if agreement is not None or len(suspects) > 1:
-        change = _ask_change(recordings, fitted, agreement, suspects)
+    if len(outside | suspects) > 1:
+        rig = None if agreement is None else find_another_rig(*fitted[:2], agreement)
+        change = _ask_change(recordings, fitted, agreement, suspects) if rig is None else rig
         if change is not None:
             found.append(change)
             odd, outside, agreement = odd - frozenset(change.recordings), frozenset(), None
+    if 2 * len(outside) > len(fitted[0].recordings):
+        outside, agreement = frozenset(), None  # what most of them miss is no film that the others have
     doubts: list[Doubt] = []
     if odd or outside:
         faults, doubts = _judge_each(recordings, levels, fitted, agreement, odd, outside)
@@ -171,7 +176,7 @@ def _find_outside(session: Session, simulation: Simulation, plain: PlainFit) -> 
     if not miss(chi2, size, 1.0).any():
         return frozenset(), None
     found = find_agreement(session, simulation, plain)
-    if not found.outside.any() or 2 * found.outside.sum() > found.outside.size:
+    if not found.outside.any():
         return frozenset(), None
     names = [r.recording_id for r in session.recordings]
     return frozenset(n for n, out in zip(names, found.outside, strict=True) if out), found
@@ -245,9 +250,9 @@ def _judge_each(
         before_that, told = dict(told), {}
         for numbers, fault in before_that.items():
             own = whole.recordings[numbers[0]]
-            has_peer = _has_peer(own, _list_peers(own, whole, asked))
-            if own.blocks and (not has_peer or (own.protocol, own.loading) in at_work):
-                mechanisms = _AT_WORK if has_peer else _EVIDENT
+            is_alone = not has_peer(own, list_peers(own, whole, asked))
+            if own.blocks and (is_alone or (own.protocol, own.loading) in at_work):
+                mechanisms = _EVIDENT if is_alone else _AT_WORK
                 judge(numbers, partial(judge_together, numbers=numbers, levels=levels, mechanisms=mechanisms))
             else:
                 told[numbers] = fault
@@ -312,10 +317,10 @@ def _judge_one(suspect: Suspect, levels: Levels, asked: frozenset[str]) -> Fault
     """The fault of a recording, None where it has none or a mechanism may be at work."""
     session = suspect.session
     own = session.recordings[suspect.number]
-    peers = _list_peers(own, session, asked)
+    peers = list_peers(own, session, asked)
     is_alike = [(r.protocol, r.loading) == (own.protocol, own.loading) for r in peers]
     mechanisms = _LAGGING if suspect.is_electrical and not any(is_alike) else _EXPECTED
-    if _has_peer(own, peers):
+    if has_peer(own, peers):
         # What it does here it does in part beside: that nothing of it shows there is the less likely the more there is here.
         rare = RULES.fault.mechanism_beside_peer / float(np.sqrt(max(suspect.sound_chi2 - suspect.size, 1.0)))
         # What happens to the film shows in all that comes after.
@@ -356,22 +361,3 @@ def _agrees_later(number: int, session: Session, asked: frozenset[str]) -> bool:
     """Whether a recording of the same loading that comes after this one agrees with the others."""
     own = session.recordings[number]
     return any(r.loading == own.loading and r.recording_id not in asked for r in session.recordings[number + 1 :])
-
-
-def _list_peers(own: RecordingFeatures, session: Session, asked: frozenset[str]) -> list[RecordingFeatures]:
-    """Recordings of the same loading that agree with the others; none where more of them do not: those few may be what the film was
-    fitted to, and say nothing of what a mechanism does at other levels.
-    """
-    alike = [r for r in session.recordings if r.loading == own.loading]
-    agreeing = [r for r in alike if r.recording_id not in asked]
-    return agreeing if 2 * len(agreeing) >= len(alike) else []
-
-
-def _has_peer(own: RecordingFeatures, others: Sequence[RecordingFeatures]) -> bool:
-    """Whether a recording like this one is among those that agree: what a mechanism does in it would show there as well."""
-    key = "largest_voltage_kv" if own.loading == "electrical" else "largest_strain"
-    return any(
-        (r.protocol, r.loading) == (own.protocol, own.loading)
-        and r.values.get(key, 0.0) >= 0.8 * own.values.get(key, 0.0)
-        for r in others
-    )

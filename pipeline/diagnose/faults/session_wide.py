@@ -65,7 +65,7 @@ _FILED_SD, _ANYWHERE = 0.1, 10.0
 """Deviation of the logarithm of k/M from a slip's, which constants of a file have; range of that of another thing that was tapped."""
 _WORTH_SAYING = 0.05
 """Probability from which a way to put a rig right is said."""
-_TRIED = 2
+_TRIED = 5
 """Ways to put a rig right that are fitted, of those that make the film smoothest."""
 
 
@@ -428,29 +428,62 @@ def find_wrong_file(
     rough = _rank_remedies(session) if is_off(session, plain) else []
     if not rough:
         return None
-    best: tuple[float, list[RecordingFeatures], Fitted, _Remedy] | None = None
-    for _, remedy in rough[:_TRIED]:
-        tried = [remedy.apply(r) for r in recordings]
-        fit = fit_session([r for r in tried if r.recording_id not in without])
-        chi2 = count_chi2(fit[0], fit[2].misfit)
-        if best is None or chi2 < best[0]:
-            best = chi2, tried, fit, remedy
-    if best is None or not agrees(
-        measure_left(best[2][0], best[0]), measure_left(session, count_chi2(session, plain.misfit))
-    ):
+    before = _count_whole(fitted)
+    tried = [_apply_remedy(remedy, recordings, without) for _, remedy in rough[:_TRIED]]
+    best = min(tried, key=lambda t: t.chi2)
+    if not agrees(measure_left(best.fitted[0], best.chi2), measure_left(session, before)):
         fault = _blame_file(session, rough)
         return None if fault is None else (list(recordings), fitted, fault)
-    chi2, changed, again, remedy = best
-    odds = 0.5 * (count_chi2(session, plain.misfit) - chi2) + float(np.log(RULES.fault.prior / _WAYS))
-    probability = float(1 / (1 + np.exp(-np.clip(odds, -50, 50))))
-    if probability < RULES.fault.named or _find_furthest(again[2]) > RULES.fault.off:
+    fitting = [t for t in tried if _find_furthest(t.fitted[2]) <= RULES.fault.off]
+    log = np.array([0.0, *(0.5 * (before - t.chi2) + np.log(RULES.fault.prior / _WAYS) for t in fitting)])
+    share = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+    if share[0] > 1 - RULES.fault.named:
         return None
-    corrections = tuple(
-        Correction(r.recording_id, remedy.cause, remedy.key, *remedy.correct(r), probability) for r in recordings
+    likely = sorted(
+        ((float(p), t) for p, t in zip(share[1:], fitting, strict=True) if p > _WORTH_SAYING),
+        key=lambda pair: -pair[0],
     )
-    names = tuple(r.recording_id for r in recordings)
-    left = measure_left(again[0], chi2)
-    return changed, again, Fault(remedy.cause, names, probability, remedy.words, corrections, False, left)
+    best = likely[0][1]
+    cause = best.remedy.cause
+    corrections = tuple(
+        Correction(r.recording_id, t.remedy.cause, t.remedy.key, *t.remedy.correct(r), p)
+        for p, t in likely
+        for r in recordings
+    )
+    fault = Fault(
+        cause,
+        tuple(r.recording_id for r in recordings),
+        float(sum(p for p, t in zip(share[1:], fitting, strict=True) if t.remedy.cause == cause)),
+        best.remedy.words
+        + (f" (or {len(likely) - 1} other ways of the corrections, as likely)" if len(likely) > 1 else ""),
+        corrections,
+        False,
+        measure_left(best.fitted[0], count_chi2(best.fitted[0], best.fitted[2].misfit)),
+    )
+    return best.recordings, best.fitted, fault
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A remedy with the recordings as it puts them right, their fit, and its χ² with what deviates from the rig's file."""
+
+    remedy: _Remedy
+    recordings: list[RecordingFeatures]
+    fitted: Fitted
+    chi2: float
+
+
+def _apply_remedy(remedy: _Remedy, recordings: Sequence[RecordingFeatures], without: Collection[str]) -> _Tried:
+    """A remedy of a session, fitted without some recordings."""
+    changed = [remedy.apply(r) for r in recordings]
+    fitted = fit_session([r for r in changed if r.recording_id not in without])
+    return _Tried(remedy, changed, fitted, _count_whole(fitted))
+
+
+def _count_whole(fitted: Fitted) -> float:
+    """χ² of a fit with what deviates from the rig's file, without the amplifier's share."""
+    session, _, plain = fitted
+    return count_chi2(session, plain.solution.residual)
 
 
 def _blame_file(session: Session, ranked: Sequence[tuple[float, _Remedy]]) -> Fault | None:

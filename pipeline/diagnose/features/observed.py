@@ -14,7 +14,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from pipeline.diagnose.features.records import split_runs, strain_length_mm
 from pipeline.transform.channels import drive
 from pipeline.transform.quality import flat_tops
-from schemas.arrays import Float, Int
+from schemas.arrays import Bool, Float, Int
 from schemas.metadata import RecordingMetadata
 from schemas.protocols import ELECTRICAL, MECHANICAL
 from schemas.recording import Channel, Recording
@@ -52,6 +52,10 @@ _WINDOWS = 40
 """Parts of a record of which the quietest tells its noise."""
 _FEWEST_HELD = 25
 """Fewest samples in a row of one value in which a channel stands still."""
+_NOISY_RUN = 10
+"""Most samples in a row of one value where noise spans the converter's steps."""
+_ZERO = 0.01
+"""Share of the largest value up to which a level is none."""
 _MOVED = 0.3
 """Share of the input's whole travel that it makes meanwhile."""
 _STILL = 0.02
@@ -85,10 +89,13 @@ def observe_channels(recording: Recording) -> dict[str, float]:
     values |= {STATED + key: value for key in SIZES if (value := getattr(metadata, key)) is not None}
     if not np.isfinite(given).any() or not np.isfinite(found).any():
         return values
+    clipped = find_clipped(source.input, source.output, metadata)
     read = _FREQUENCIES.get(metadata.protocol)
     if read is not None and not stopped:  # what is lost for a while has no frequency
         time = (source.input.time_ns - source.input.time_ns[0]) * 1e-9
-        stated, seen = read.stated(metadata), read.seen(time, given)
+        # A flat top shows no noise and turns nowhere.
+        turning = np.where(clipped[0], np.nan, given) if clipped[0].any() else given
+        stated, seen = read.stated(metadata), read.seen(time, turning)
         if (
             metadata.protocol == "sphs"
             and stated
@@ -100,12 +107,43 @@ def observe_channels(recording: Recording) -> dict[str, float]:
     if metadata.loading == ELECTRICAL:
         values |= _pair(VOLTAGE, metadata.drive_kv, float(np.nanmax(np.abs(given))))
         return values | find_unmoved(values, VOLTAGE, given, source.input.quantity)
-    if metadata.protocol in ("chirp", "cyclic"):
-        values[FLAT] = float(flat_tops(found, source.output.resolution).mean())
-        values[FLAT_INPUT] = float(flat_tops(given, source.input.resolution).mean())
+    if clipped[0].size:
+        values[FLAT_INPUT], values[FLAT] = (float(flat.mean()) for flat in clipped)
     travel = None if metadata.strain_pp is None else metadata.strain_pp * strain_length_mm(recording)
     values |= _pair(AMPLITUDE, travel, float(np.nanmax(given) - np.nanmin(given)))
     return values | find_unmoved(values, AMPLITUDE, given, source.input.quantity)
+
+
+def find_clipped(given: Channel, found: Channel, metadata: RecordingMetadata) -> tuple[Bool, Bool]:
+    """Samples of a mechanical test's input and output that its sensor clipped; of no length where that is not asked.
+
+    A film rests on one level before a step and after it: there only a rest without noise was clipped, beside one that has some.
+    """
+    if metadata.loading != MECHANICAL:
+        return np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
+    if metadata.protocol in ("chirp", "cyclic"):
+        return flat_tops(given.values, given.resolution), flat_tops(found.values, found.resolution)
+    if metadata.protocol == "step":
+        return np.zeros(given.values.shape, dtype=bool), find_still_rest(found.values)
+    return np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
+
+
+def find_still_rest(values: Float) -> Bool:
+    """Samples (n,) at the largest or the least value, many in a row, of a record that shows noise of its converter's steps everywhere else.
+
+    Zeros are what a recorder writes before it is triggered, or a slack film.
+    """
+    still = np.zeros(values.shape, dtype=bool)
+    bounds = split_runs(values)
+    lengths, held = np.diff(bounds), values[bounds[:-1]]
+    high, low = float(np.fmax.reduce(values)), float(np.fmin.reduce(values))
+    for extreme in (high, low):
+        at = held == extreme
+        if abs(extreme) <= _ZERO * max(abs(high), abs(low)):
+            continue
+        if lengths[at].max(initial=0) >= _FEWEST_HELD and lengths[~at].max(initial=0) <= _NOISY_RUN:
+            still |= values == extreme
+    return still
 
 
 def find_dead(observed: Mapping[str, float]) -> list[str]:
@@ -124,6 +162,10 @@ def _find_held(given: Float, found: Float, names: tuple[str, str]) -> dict[str, 
     share = {}
     if found.size == given.size:
         first, stop = _longest_run(found)
+        if found[first] in (np.fmax.reduce(found), np.fmin.reduce(found)) and not _has_one_stop(
+            np.diff(split_runs(found))
+        ):
+            stop = first  # a flat top among others
         travel = float(np.ptp(given[np.isfinite(given)])) if np.isfinite(given).any() else 0.0
         during = given[first:stop][np.isfinite(given[first:stop])]
         if stop - first >= _FEWEST_HELD and during.size and travel > 0 and np.ptp(during) > _MOVED * travel:

@@ -30,12 +30,12 @@ from pipeline.diagnose.search.posterior import (
     settle_hypotheses,
     weigh_fit,
 )
-from pipeline.diagnose.search.screen import Secants, compute_signatures, find_best_scores
+from pipeline.diagnose.search.screen import Score, Secants, compute_signatures, find_best_scores
 
 _ROUGHLY = 6
 """Steps of a fit under other weights."""
-_EACH = 2
-"""Further mechanisms that are fitted at least on each base."""
+_FEWEST, _MOST = 2, 5
+"""Further mechanisms that are fitted on each base at least and at most."""
 
 
 def add_causes(singles: Sequence[Hypothesis], changes: Secants) -> list[Hypothesis]:
@@ -114,8 +114,15 @@ def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
         signatures = compute_signatures(changes, fit)
         scores = find_best_scores(signatures)
         if scores and signatures.reaches(scores[0].statistic, RULES.cause.level):
-            found += [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, _EACH))]
+            number = _count_promising(scores)
+            found += [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, number))]
     return settle_hypotheses(found)
+
+
+def _count_promising(scores: Sequence[Score]) -> int:
+    """Mechanisms that a screen promises nearly as much of as of its best: which of them explains most, only fits tell."""
+    close = [s.chosen.id for s in scores if s.statistic > RULES.fit.close_further * scores[0].statistic]
+    return int(np.clip(len(set(close)), _FEWEST, _MOST))
 
 
 def _try_beside_others(found: Sequence[Hypothesis], bases: Sequence[Hypothesis]) -> list[Hypothesis]:
