@@ -36,6 +36,8 @@ _ROUGHLY = 6
 """Steps of a fit under other weights."""
 _FEWEST, _MOST = 2, 5
 """Further mechanisms that are fitted on each base at least and at most."""
+_MOST_PUT_BACK = 2
+"""Hypotheses whose causes are searched anew."""
 
 
 def add_causes(singles: Sequence[Hypothesis], changes: Secants) -> list[Hypothesis]:
@@ -59,6 +61,7 @@ def add_causes(singles: Sequence[Hypothesis], changes: Secants) -> list[Hypothes
         bases = [h for h in rank_hypotheses(more)[:1] if h.log_joint > bases[0].log_joint] if bases else []
         if not bases:
             break
+    found += _put_back(found, changes)
     return [*found, *_take_back(found, singles)]
 
 
@@ -166,6 +169,30 @@ def _take_back(found: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> lis
     near = [h for h in found if h.log_joint > best - RULES.fit.close_call]
     there = Posterior.of(without for h in near for without in _drop_each(h)).hypotheses
     return settle_hypotheses([*there, *(weigh_fit(finish_fit(h.model)) for h in there)])
+
+
+def _put_back(found: Sequence[Hypothesis], changes: Secants) -> list[Hypothesis]:
+    """The most probable hypotheses of several causes with each cause in turn searched anew beside the others.
+
+    A cause was found beside what came before it, and where it stands then the next one was found: with all of them there, another of its
+    optima may be the better one.
+    """
+    several = [h for h in Posterior.of(found).hypotheses if len(_list_own(h)) > 1][:_MOST_PUT_BACK]
+    best = max((h.log_joint for h in several), default=0.0)
+    again: list[Hypothesis] = []
+    for h in several:
+        for number in _list_own(h) if h.log_joint > best - RULES.fit.close_call else ():
+            id = h.model.of.chosen[number].id
+            base = reweigh_fit(weigh_fit(finish_fit(drop_mechanism(h.model, number))), _ROUGHLY)
+            signatures = compute_signatures(changes, base)
+            scores = [s for s in find_best_scores(signatures) if s.chosen.id == id]
+            again += [weigh_fit(f) for f in confirm_best(fit_each_mechanism(base, scores, signatures, 1))]
+    return settle_hypotheses(again)
+
+
+def _list_own(hypothesis: Hypothesis) -> list[int]:
+    """Numbers of the causes of a hypothesis that are no lag which the monitor shows."""
+    return [i for i, c in enumerate(hypothesis.model.of.chosen) if not c.is_monitored_lag]
 
 
 def _drop_each(hypothesis: Hypothesis) -> list[Hypothesis]:
