@@ -279,18 +279,32 @@ def _windows(
         },
         drifts=True,
     )
-    slope = np.array(rows) @ np.gradient(signals.output[:stop])
     made = add_rounding(made, rounding)
-    return _with_timing(made, slope, sides, edge_s / signals.interval_s)
+    return add_unit_noise(
+        made, edge_covariance(np.array(rows), signals.output[:stop], sides, edge_s / signals.interval_s)
+    )
 
 
-def _with_timing(made: FeatureBlock, slope: Float, sides: Float, sd: float) -> FeatureBlock:
-    """The block with the noise that edges bring whose time is known to `sd` samples; `slope` (n,) per sample of delay.
+def edge_covariance(rows: Float, output: Float, sides: Float, sd: float) -> Float:
+    """(n, n) covariance of windows that edges bring whose time is known to `sd` samples, and their width to as much.
 
-    Edges of one test lie alike between the samples: more cycles do not make it less.
+    Edges of one test lie alike between the samples: more cycles do not make it less. What rings answers an edge that is wider by its second
+    derivative, half the mean square of the width.
+
+    Parameters
+    ----------
+    rows : (n, T) weights of the samples in each window
+    output : (T,) samples
+    sides : (n,) 1 after edges that rise, −1 after those that fall
     """
-    on, off = (np.where(sides == side, slope, 0.0) * sd for side in (1.0, -1.0))
-    return add_unit_noise(made, np.outer(on, on) + np.outer(off, off))
+    later = np.gradient(output)
+    covariance = np.zeros((len(rows), len(rows)))
+    for moved, by in ((later, sd), (np.gradient(later), 0.5 * sd**2)):
+        changed = rows @ moved * by
+        for side in (1.0, -1.0):
+            own = np.where(sides == side, changed, 0.0)
+            covariance += np.outer(own, own)
+    return covariance
 
 
 def _without_spikes(sensed: Float, cycles: list[_Cycle], interval_s: float) -> Float:
