@@ -101,6 +101,10 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
         held_out = predict_by_function(evidence.function)
     elif final is not None:
         held_out = predict_left_out(evidence.plain, final)
+        if held_out is not None:
+            # What predicts little of what it was not fitted to is not named without doubt.
+            evidence = replace(evidence, gain=held_out.gain)
+            verdict = judge_session(evidence)
     # 9. What to measure next.
     proposal = _propose_recording(evidence) if verdict == AMBIGUOUS and not evidence.is_unnamed else None
     # 10. Numbers and words.

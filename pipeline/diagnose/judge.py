@@ -35,7 +35,9 @@ def judge_session(evidence: Evidence) -> str:
         return UNKNOWN if evidence.sure is None else AMBIGUOUS
     return (
         NAMED
-        if posterior.probability[best.name] >= RULES.verdict.credible and best.shortfall.is_adequate
+        if posterior.probability[best.name] >= RULES.verdict.credible
+        and best.shortfall.is_adequate
+        and evidence.predicts
         else AMBIGUOUS
     )
 

@@ -412,6 +412,11 @@ def _describe_doubt(evidence: Evidence) -> list[str]:
     if best is not None and not best.shortfall.is_adequate:
         names = " with ".join(quote_name(id) for id in best.causes)
         told.append(f"{capital(names)} {best.shortfall.describe()}.")
+    if best is not None and not evidence.predicts:
+        told.append(
+            f"What is told explains the recordings it was fitted to, and predicts little of those that were left out: it removes"
+            f" {percent(max(evidence.gain, 0.0), 3)} of their error."
+        )
     return told
 
 

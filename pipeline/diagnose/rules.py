@@ -279,6 +279,11 @@ class GainRules:
     removable: float = _rule(
         1.5, "excess of the plain model's held-out χ² below which no gain is stated", unit="SD of χ²"
     )
+    least_named: float = _rule(
+        0.5,
+        "held-out gain below which causes are not named without doubt",
+        "rigs written apart: of sessions that were named, 1 of 10 was right below it and 109 of 141 above",
+    )
     most_variance: float = _rule(
         1.0, "mean variance of a prediction over the noise up to which a part can be predicted"
     )

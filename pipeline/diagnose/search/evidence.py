@@ -38,6 +38,7 @@ class Evidence:
     patterns_after : smooth patterns that the best causes leave, or the plain model where there are none
     louder : (N,) weights of the residuals under the noise that the likelihood makes of the session, where nothing is found beyond that;
         None where the noise is that of the rests
+    gain : held-out gain of the causes that are told; NaN as long as no part was left out, or where none can be stated
     with_arm : the plain model with one more arm and its entries, where causes ask for that: the search has to begin anew with it
     """
 
@@ -53,6 +54,7 @@ class Evidence:
     patterns_after: Patterns | None = None
     louder: Float | None = None
     with_arm: tuple[BaseModel, Float] | None = None
+    gain: float = float("nan")
 
     @property
     def best(self) -> Hypothesis | None:
@@ -100,9 +102,16 @@ class Evidence:
 
     @property
     def may_be_unlisted(self) -> bool:
-        """Whether the credible hypotheses hold one without a name, or the best leaves too much to something else."""
+        """Whether the credible hypotheses hold one without a name, or something speaks against the best."""
         best = self.best
-        return any(not h.causes for h in self.credible) or (best is not None and not best.shortfall.is_adequate)
+        return any(not h.causes for h in self.credible) or (
+            best is not None and not (best.shortfall.is_adequate and self.predicts)
+        )
+
+    @property
+    def predicts(self) -> bool:
+        """Whether nothing is known against what the causes predict of parts that were left out."""
+        return not self.gain < RULES.gain.least_named
 
 
 def find_best(posterior: Posterior) -> Hypothesis | None:
