@@ -41,6 +41,8 @@ _LEAST_STRETCH, _LARGEST_STRETCH = 0.3, 8.0
 _CLOCK_DIFFERENCE_S = 3600.0
 NO_CAMPAIGN = "no campaign"
 """Campaign of the recorded lives that name none: they stand on a page together, as nothing tells them apart."""
+_DRIVEN = 0.1
+"""Share by which a strain may be driven otherwise than it is stated."""
 
 
 def canonical(
@@ -89,7 +91,10 @@ def canonical(
     for quantity in _FORCES:
         if quantity in channels and rig.load_cell_range_n is not None:
             beside = channels.get("displacement") if quantity in required else None
-            _check_range(channels[quantity], rig.load_cell_range_n, quantity in required, beside, problems, where)
+            travel = _promised_travel(metadata)
+            _check_range(
+                channels[quantity], rig.load_cell_range_n, quantity in required, beside, travel, problems, where
+            )
     if definition.name in _DYNAMIC and metadata.loading != CALIBRATION:
         driving, responding = required[0], required[-1]
         channels[responding] = _without_spikes(channels[responding], channels[driving], problems)
@@ -333,12 +338,27 @@ def _check_changes(channel: Channel, where: str) -> None:
         )
 
 
+def _promised_travel(metadata: RecordingMetadata) -> float | None:
+    """Travel of the clamp that strain and length promise, mm; None where the metadata do not say."""
+    length = metadata.stretched_length_mm
+    return None if metadata.strain_pp is None or length is None else metadata.strain_pp * length
+
+
 def _check_range(
-    channel: Channel, limit: float, required: bool, beside: Channel | None, problems: list[str], where: str
+    channel: Channel,
+    limit: float,
+    required: bool,
+    beside: Channel | None,
+    travel: float | None,
+    problems: list[str],
+    where: str,
 ) -> None:
     """Forces at or beyond the load cell's range: some are a problem, most of them refuse the recording.
 
-    `beside`: the displacement that may be in the force's place, and the force in its.
+    Parameters
+    ----------
+    beside : the displacement that may be in the force's place, and the force in its
+    travel : of the displacement, as the metadata promise it, mm
     """
     size = np.abs(channel.values)
     beyond: Bool = size >= limit
@@ -351,7 +371,19 @@ def _check_range(
         f"{channel.quantity}: {count} of {usable} samples at or beyond the load cell's range (largest {largest:.6g} N)"
     )
     if required and count > usable / 2:
-        may_be_swapped = beside is not None and float(np.nanmax(np.abs(beside.values))) < limit
+        if beside is not None and travel is not None and _moves_by(channel, travel) and not _moves_by(beside, travel):
+            raise RefusedError(
+                text,
+                where=where,
+                expected=f"at most {limit:g} N, load_cell_range_n of the rig",
+                remedy="Force and displacement are in each other's place: what is called force moves by the"
+                f" {travel:.4g} mm that strain_pp says, what is called displacement does not. Exchange the two columns",
+            )
+        may_be_swapped = (
+            beside is not None
+            and float(np.nanmax(np.abs(beside.values))) < limit
+            and not (travel is not None and _moves_by(beside, travel))
+        )
         swapped = (
             ", whether force and displacement are in each other's place: what is called displacement lies within it,"
         )
@@ -364,6 +396,11 @@ def _check_range(
             remedy=f"Check the unit of the channel{in_milli}{swapped if may_be_swapped else ''} and the rig's load_cell_range_n",
         )
     problems.append(f"{text}; expected below {limit:g} N in size")
+
+
+def _moves_by(channel: Channel, travel: float) -> bool:
+    """Whether a channel's values span the travel that is promised, as well as strains are driven."""
+    return bool(abs(float(np.nanmax(channel.values) - np.nanmin(channel.values)) / travel - 1) < _DRIVEN)
 
 
 def _note_sizes(recording: Recording, notes: list[str]) -> None:

@@ -274,6 +274,15 @@ class RecordingMetadata:
         return None if all(size is None for size in sizes) else 1.0
 
     @property
+    def stretched_length_mm(self) -> float | None:
+        """Length of the film between the clamps at its pre-stretch in mm, None where the metadata do not say."""
+        if self.total_length_mm is not None:
+            return self.total_length_mm
+        if self.film_length_mm is None or self.pre_stretch is None:
+            return None
+        return self.film_length_mm * self.pre_stretch
+
+    @property
     def lateral_stretch(self) -> float | None:
         """`stretch_2`; where absent the film is uniaxial: 1/√pre_stretch."""
         if self.stretch_2 is not None:

@@ -70,15 +70,6 @@ def undeformed(metadata: RecordingMetadata) -> tuple[float, float]:
     return (1.0, 1.0) if length is None or section is None else (length, section)
 
 
-def stretched_length(metadata: RecordingMetadata) -> float | None:
-    """Length of the film between the clamps at its pre-stretch in mm, None where the metadata do not say."""
-    if metadata.total_length_mm is not None:
-        return metadata.total_length_mm
-    if metadata.film_length_mm is None or metadata.pre_stretch is None:
-        return None
-    return metadata.film_length_mm * metadata.pre_stretch
-
-
 def _converted(channel: Channel, quantity: str, change: Conversion) -> Channel:
     resolution = None if channel.resolution is None else change.apply_difference(channel.resolution)
     return replace(channel, quantity=quantity, values=change.apply(channel.values), resolution=resolution)

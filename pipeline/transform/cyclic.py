@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.transform import quality
 from pipeline.transform.averaging import SAME_AMPLITUDE
-from pipeline.transform.channels import Drive, drive, stretched_length
+from pipeline.transform.channels import Drive, drive
 from pipeline.transform.harmonics import Harmonics, harmonics, refined_frequency, slow_terms
 from pipeline.transform.response import Distortion, FrequencyResponse
 from pipeline.transform.sampling import seconds
@@ -91,7 +91,7 @@ def cyclic_response(
     warnings += _name_harmonics(given)
     details = _details(recording, source, given, found, frequency, whole)
     details |= _change(t_x, x, t_y, y, frequency, begin, whole, source.sign)
-    length = stretched_length(recording.metadata)
+    length = recording.metadata.stretched_length_mm
     strain = recording.metadata.strain_pp
     if length is not None and source.input.quantity == "displacement":
         amplitude = abs(u) / length

@@ -215,6 +215,28 @@ def test_load_cell_range() -> None:
     assert "in each other's place" not in refused.value.remedy, "that would be beyond the range as well"
 
 
+def test_forces_beyond_the_range_that_move_as_the_strain_says_are_displacements() -> None:
+    swing = np.sin(np.arange(N) / 5)
+    stated = {"total_length_mm": "40", "strain_pp": "0.5"}
+    with pytest.raises(RefusedError, match="load cell's range") as refused:
+        check(
+            channel("displacement", "mm", swing),
+            channel("force", "N", 30 + 10 * swing),
+            rig={"load_cell_range_n": "5"},
+            **stated,
+        )
+    assert refused.value.remedy.startswith("Force and displacement are in each other's place")
+    with pytest.raises(RefusedError, match="load cell's range") as refused:
+        check(
+            channel("displacement", "mm", 10 * swing),
+            channel("force", "N", 30 + swing),
+            rig={"load_cell_range_n": "15"},
+            **stated,
+        )
+    assert "in each other's place" not in refused.value.remedy
+    assert "Check the unit" in refused.value.remedy
+
+
 def test_rig_file_wins_key_by_key() -> None:
     raw = RawRecording(METADATA, {"clamp_mass_kg": "0.05", "load_cell_range_n": "2"}, GOOD)
     found = canonical(raw, where="r1", rig_file={"clamp_mass_kg": 0.06})

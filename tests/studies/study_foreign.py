@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.diagnose.faults.fault import DEAD_CHANNEL
+from pipeline.diagnose.faults.fault import CHANNELS_SWAPPED, DEAD_CHANNEL
 from pipeline.diagnose.mechanisms import MECHANISMS
 from reports.pages.campaign.places import clopper_pearson
 from tests.helpers.foreign_rigs import (
@@ -156,7 +156,12 @@ def is_fault_named(a: Answer) -> bool:
     """Whether the fault is named, with the recordings that it is in."""
     told = a.truth["fault"]
     own = [f for f in a.faults if f["id"] == told["id"]]
-    if told["id"] == DEAD_CHANNEL and told["recordings"] != "all" and _is_refused(a, told["recordings"], told["key"]):
+    refusal = {DEAD_CHANNEL: f"{told['key']} is", CHANNELS_SWAPPED: "Force and displacement are in each other's place"}
+    if (
+        told["id"] in refusal
+        and told["recordings"] != "all"
+        and _is_refused(a, told["recordings"], refusal[told["id"]])
+    ):
         return True
     if not own:
         return told["id"] in a.named and told["recordings"] == "all"
@@ -165,9 +170,9 @@ def is_fault_named(a: Answer) -> bool:
     return {name for f in own for name in f["recordings"]} == set(told["recordings"])
 
 
-def _is_refused(a: Answer, recordings: Sequence[str], channel: str) -> bool:
-    """Whether recordings were refused before the diagnosis because that channel shows one value in all samples."""
-    return all(any(name in text and f"{channel} is" in text for text in a.refused) for name in recordings)
+def _is_refused(a: Answer, recordings: Sequence[str], words: str) -> bool:
+    """Whether recordings were refused before the diagnosis, with words that name the fault."""
+    return all(any(name in text and words in text for text in a.refused) for name in recordings)
 
 
 def is_correction_right(a: Answer) -> bool | None:

@@ -16,7 +16,6 @@ from pipeline.diagnose.features.noise_density import noise_sample
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.mains import mains_of
 from pipeline.physics.rig import rig_prior
-from pipeline.transform.channels import stretched_length
 from pipeline.transform.sampling import Sampled, runs, sample
 from schemas.arrays import Bool, Complex, Float, Int
 from schemas.errors import NotIdentifiableError
@@ -367,7 +366,7 @@ def ringing_s(rig: RigConstants, interval_s: float) -> float:
 
 def strain_length_mm(recording: Recording) -> float:
     """Length that strains refer to; 1 mm where the metadata do not say (strains are then mm)."""
-    return stretched_length(recording.metadata) or 1.0
+    return recording.metadata.stretched_length_mm or 1.0
 
 
 def polynomials(count: int, degree: int) -> Float:

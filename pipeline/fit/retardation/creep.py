@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.fit.retardation.fit import RESOLVED, Retardation, RetardationFit, fit_retardation
 from pipeline.physics.compliance import Compliance
 from pipeline.physics.film import RelaxationModel
-from pipeline.transform.channels import drive, stretched_length
+from pipeline.transform.channels import drive
 from pipeline.transform.holds import FEWEST_WINDOWS, Hold, find_holds, reduce_record
 from pipeline.transform.sampling import seconds
 from schemas.arrays import Float
@@ -177,7 +177,7 @@ def measure_creep(recording: Recording) -> Creep:
         drift_mm_per_h=bounds(per_hour * drift, 3600 * drift_sd) if goes_off else None,
         walk_mm_per_sqrt_h=math.sqrt(3600 * found.noise.walk),
         cell_mm_per_n=cell,
-        length_mm=stretched_length(about),
+        length_mm=about.stretched_length_mm,
         warnings=tuple(warnings),
     )
 

@@ -18,7 +18,6 @@ from pipeline.fit.retardation.creep import Estimate, bounds, contradict_load
 from pipeline.fit.retardation.fit import Retardation, fit_retardation, nuisance_columns, slopes_by_log_time
 from pipeline.physics.compliance import integral
 from pipeline.physics.film import integrate_arms
-from pipeline.transform.channels import stretched_length
 from pipeline.transform.holds import HeldRecord, Hold, find_holds, reduce_record
 from pipeline.transform.sampling import seconds
 from schemas.arrays import Bool, Float, Int
@@ -165,7 +164,7 @@ def measure_isotonic(recording: Recording) -> Isotonic:
         low, high = _load_at_rest(recording, v_s, voltage, top)
         if high - low > _CONSTANT * abs(load):
             warnings.append(f"the load goes from {low:.3g} to {high:.3g} N without voltage: it is not constant")
-    length, thickness = stretched_length(about), _thickness(about)
+    length, thickness = about.stretched_length_mm, _thickness(about)
     largest = strokes[-1].stroke_mm
     drift, drift_sd = found.selected.drift
     return Isotonic(
