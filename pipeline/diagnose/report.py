@@ -76,6 +76,7 @@ def report_session(
     named = () if final is None else final.of.mechanism_ids
     others = list(dict.fromkeys(id for h in evidence.credible for id in h.causes if id not in named))
     unlisted = [UNLISTED] if evidence.may_be_unlisted else []
+    extension = None if extended is None else _report_extension(evidence, extended, context, held_out)
     posterior = evidence.posterior
     stages, covariates = (
         ({}, {}) if posterior is None else (posterior.sum_by(stage=True), posterior.sum_by(stage=False))
@@ -88,8 +89,8 @@ def report_session(
         p_value=evidence.p_value,
         supported_by=() if final is None else list_supporting_protocols(evidence.plain, final),
         held_out=held_out,
-        extension=None if extended is None else _report_extension(evidence, extended, context, held_out),
-        candidates=_list_candidates(evidence, final, context, held_out),
+        extension=extension,
+        candidates=_list_candidates(evidence, final, context, held_out, extension),
         discrepancies=list_discrepancies(evidence.noise_fit, evidence.louder),
         next_recording=proposal,
         smallest_detectable=report_smallest(smallest, context),
@@ -230,9 +231,16 @@ def _estimate_severity(
 
 
 def _list_candidates(
-    evidence: Evidence, final: ExtendedFit | None, context: Context, held_out: HeldOut | None
+    evidence: Evidence,
+    final: ExtendedFit | None,
+    context: Context,
+    held_out: HeldOut | None,
+    extension: Extension | None,
 ) -> tuple[Candidate, ...]:
-    """Every mechanism that was fitted alone, or beside the lag of the amplifier where that is given; best evidence first."""
+    """Every mechanism that was fitted alone, or beside the lag of the amplifier where that is given; best evidence first.
+
+    What is told has the severity of the extended model: one number on every page.
+    """
     posterior, plain, given = evidence.posterior, evidence.plain, evidence.given
     if posterior is None:
         return ()
@@ -250,11 +258,15 @@ def _list_candidates(
         if given is not None and hypothesis.causes != lag:
             fit, base = refit_under(plain, hypothesis), given
         chosen = fit.of.chosen[own[0]]
-        estimates = _estimate_severity(fit, own[0], make_linear_ends(fit.estimate_spread()), context)
+        is_the_cause = {*causes} == {*hypothesis.causes}
+        estimates = (
+            extension.severities[chosen.id]
+            if is_the_cause and extension is not None
+            else _estimate_severity(fit, own[0], make_linear_ends(fit.estimate_spread()), context)
+        )
         key = find_main_key(chosen.id, estimates)
         parameters = len(chosen.mechanism.list_parameters(chosen.variant))
         ratio = max(base.chi2 - fit.chi2, 0.0)  # a model with one cause more is no worse at its optimum
-        is_the_cause = {*causes} == {*hypothesis.causes}
         found.append(
             Candidate(
                 mechanism=chosen.id,

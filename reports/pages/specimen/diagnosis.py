@@ -320,8 +320,8 @@ def _candidates(draft: Draft, d: Record) -> list[Block]:
     note = f"the {len(found)} of {LISTED_CAUSES} that {'was' if len(found) == 1 else 'were'} fitted"
     below = (
         "Probability: of this cause alone, among all explanations. Fall of χ²: in the search, under weights that allow every form a"
-        " share of what is missed; it does not decide. Severity: its ± is that of the noise where the cause leaves nothing else; the ± of what"
-        " is named also holds how far its form may be wrong, so that the two may differ by that."
+        " share of what is missed; it does not decide. Severity: of what is told, that of the extended model, whose ± also holds how far its form"
+        " may be wrong; of the others alone, with the ± of the noise."
     )
     if any(r["mechanism"] in (d["mechanisms"] or []) and not r["likelihood_ratio"] for r in found):
         below += " –: under those weights the cause alone does not fall below the plain model, and shows nothing of its share."
