@@ -23,7 +23,7 @@ from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.simulation.session import make_session as join_features
 from pipeline.simulate.campaign import packaged_campaigns, read_campaign, simulate_one
 from schemas.recording import Recording
-from tests.helpers.everyday_faults import EDITS, change_channel, change_metadata, mix_in
+from tests.helpers.everyday_faults import EDITS, change_channel, change_metadata, change_rig, mix_in
 from tests.helpers.truth_rig import KINDS, compact_designs, compact_session, make_session
 
 SEED, ANOTHER_SEED = 990_000_001, 990_000_002
@@ -96,14 +96,20 @@ def test_a_foreign_recording_is_told_beside_a_mechanism_that_others_show() -> No
     ]
 
 
-def test_a_sweep_on_another_rig_than_its_metadata_name_is_foreign_to_the_rig() -> None:
-    """Its clamp is heavier by a mass that nobody wrote down; no film explains it, and it was said to be anything."""
+@pytest.mark.parametrize("known", [1.0, 0.05])
+def test_a_sweep_on_another_rig_than_its_metadata_name_is_foreign_to_the_rig(known: float) -> None:
+    """Its clamp is heavier by a mass that nobody wrote down; no film explains it, and it was said to be anything.
+
+    However well the file knows its own rig, which makes the other one be many of its standard deviations away.
+    """
     designs = list(compact_designs())
     number = max(i for i, design in enumerate(designs) if design["protocol"] == "chirp")
     designs[number] = {**designs[number], "extra_clamp_mass_kg": 0.2}
     session = list(make_session(SEED, designs).recordings)
     metadata = replace(session[number].metadata, extra_clamp_mass_kg=None)
     session[number] = replace(session[number], metadata=metadata)
+    surely = {f"{name}_sd": known for name in ("clamp_mass_kg", "load_cell_stiffness_n_per_mm")}
+    session = [change_rig(r, **surely) for r in session]
     (fault,) = check_recordings([reduce(r) for r in session]).faults
     assert (fault.cause, fault.recordings) == ("foreign_rig", (metadata.recording_id,))
     assert [(c.key, c.value_proposed) for c in fault.corrections] == [("rig_id", "")]

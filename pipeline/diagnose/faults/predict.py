@@ -35,6 +35,8 @@ _OTHER_CLAMPS = (1.0, 0.4, 0.7, 1.4, 2.5)
 """Masses of another rig's clamp over that of the others at which its search begins."""
 _ANY_RIG = 1e3
 """Standard deviations of its file within which another rig's constants are searched: as good as any."""
+_STRIDE = 50.0
+"""Standard deviations of its file in which those constants are searched as ones: they are as far as that from it."""
 _FAR = 30.0
 """How far an entry of it may be from that of the others, in logarithms."""
 _ANY_ACTUATION = float(np.log(1000.0))
@@ -250,11 +252,11 @@ class Suspect:
         """χ² on a rig of its own, with the film of the others."""
         model, theta = self.fit.model, self.fit.theta
         is_rig = np.array([name.startswith(f"rig {self.rig} ") for name in model.names])
-        clamps = [(model.with_clamps(theta, ratio) - theta)[is_rig] for ratio in _OTHER_CLAMPS]
+        clamps = [(model.with_clamps(theta, ratio) - theta)[is_rig] / _STRIDE for ratio in _OTHER_CLAMPS]
         low, high = (
             np.where(is_rig, side * _ANY_RIG, bound) for side, bound in zip((-1, 1), make_bounds(model), strict=True)
         )
-        return self._fit_moved(np.eye(is_rig.size)[is_rig], clamps, (low, high))
+        return self._fit_moved(_STRIDE * np.eye(is_rig.size)[is_rig], clamps, (low, high))
 
     @cached_property
     def _springs(self) -> Bool:
