@@ -101,8 +101,9 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
         held_out = predict_by_function(evidence.function)
     elif final is not None:
         held_out = predict_left_out(evidence.plain, final)
-        if held_out is not None:
-            # What predicts little of what it was not fitted to is not named without doubt.
+        if held_out is not None and any(c.mechanism.as_filed is None for c in final.of.chosen):
+            # What predicts little of what it was not fitted to is not named without doubt; but for the rig's constants, which the plain
+            # model moves as well, against its file.
             evidence = replace(evidence, gain=held_out.gain)
             verdict = judge_session(evidence)
     # 9. What to measure next.

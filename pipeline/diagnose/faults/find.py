@@ -121,7 +121,7 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
         recordings, fitted, fault = late
         found.append(fault)
     outside, agreement = _find_outside(*fitted)
-    if len(outside | suspects) > 1:
+    if agreement is not None or len(suspects) > 1:
         rig = None if agreement is None else find_another_rig(*fitted[:2], agreement)
         change = _ask_change(recordings, fitted, agreement, suspects) if rig is None else rig
         if change is not None:
@@ -195,7 +195,13 @@ def _ask_change(
         simulation = Simulation(session)
     misfit = compute_residuals(session, simulation, near.model, near.theta[None])[0]
     chi2 = min(count_chi2(session, m) for m in ([misfit] if suspects else [misfit, plain.misfit]))
-    return find_change(session, simulation, near, chi2)
+    change = find_change(session, simulation, near, chi2)
+    if change is not None and agreement is not None and not suspects and agreement.outside.sum() == 1:
+        # A fault of the one recording that misses the others would leave as much of it as the noise does.
+        inside = ~agreement.outside
+        left = measure_left(session, agreement.chi2[inside].sum() + agreement.size[~inside].sum())
+        return change if change.left_per_value < max(left, 1.0) * (1 + RULES.fault.form_error) else None
+    return change
 
 
 def _judge_each(
