@@ -217,19 +217,24 @@ def _by_ids(explanation: Explanation, of: Sequence[Explanation]) -> Piece:
 
 
 def what_next(standing: Standing) -> Next | None:
-    """What to do about the causes that are named, or the recording that would decide, or where to begin where none would."""
+    """What `list_next` says, as a part of a page."""
+    title, sentences = list_next(standing)
+    return Next(title, " ".join(sentences)) if sentences else None
+
+
+def list_next(standing: Standing) -> tuple[str, list[str]]:
+    """What to do about the causes that are named, or the recording that would decide, or where to begin where none would: its heading, and
+    sentences; none where there is nothing to do."""
     diagnosis = standing.diagnosis
     if not diagnosis:
-        return None
+        return "", []
     words = [diagnosis["next_recording"]] if diagnosis["next_recording"] else []
     telling = [_as_sentence(text) for text in (*words, *(diagnosis["would_tell"] or ()))]
     if diagnosis["verdict"] == "named":
-        actions = [*_list_named_actions(standing, list(diagnosis["mechanisms"] or ())), *telling]
-        return Next("What to do", " ".join(actions)) if actions else None
+        return "What to do", [*_list_named_actions(standing, list(diagnosis["mechanisms"] or ())), *telling]
     if telling:
-        return Next("Next recording to make" if words else "What would tell them apart", " ".join(telling))
-    actions = tell_where_to_begin(diagnosis)
-    return Next("What to do", " ".join(actions)) if actions else None
+        return "Next recording to make" if words else "What would tell them apart", telling
+    return "What to do", tell_where_to_begin(diagnosis)
 
 
 def _as_sentence(text: object) -> str:

@@ -34,6 +34,7 @@ _NIGHT = """
 import json, sys, time
 import pipeline.nightly.night
 from pipeline import Lab
+from schemas.numbers import digits
 from tests.helpers.machine import peak_mb
 if sys.argv[4] == "no pages":
     pipeline.nightly.night._write_report = lambda *_: None
@@ -150,7 +151,7 @@ def run(sizes: Sequence[int] = SIZES) -> list[dict[str, Any]]:
                 ("one new", one, "survival, database and pages made again"),
             ):
                 middle = sorted(found, key=lambda n: n["seconds"])[_TURNS // 2]
-                rows.append(_row(f"{size} recordings, {what}", middle, f"{note}; median of {_TURNS} nights"))
+                rows.append(_row(f"{size} recordings, {what}", middle, f"{note}; median of {digits(_TURNS, 'night')}"))
                 rows[-1]["measured"] = {"recordings": size, **{k: middle[k] for k in ("seconds", "peak_mb")}}
             rows.append(
                 {
@@ -209,7 +210,7 @@ def demonstration(folder: Path) -> list[dict[str, Any]]:
             "name": "the same, 2 workers",
             "seconds": float(np.median(seconds[2])),
             "ratio": measured["speedup"],
-            "note": f"ratio: how much faster than 1 worker ({min(speedups):.2f} to {max(speedups):.2f} in {_TURNS} turns); "
+            "note": f"ratio: how much faster than 1 worker ({min(speedups):.2f} to {max(speedups):.2f} in {digits(_TURNS, 'turn')}); "
             f"its items alone would be {np.median(limits):.2f} times faster on the two cores of this machine",
         },
     ]

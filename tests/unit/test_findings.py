@@ -14,6 +14,9 @@ from pipeline import Lab
 from pipeline.analyse.diagnosis_tables import diagnosis_tables, undiagnosed_tables
 from pipeline.commands.show.diagnoses import describe_diagnoses
 from pipeline.lab.snapshot import Changes, publish
+from reports.findings import list_next
+from reports.results import Results
+from reports.standings import of_lab
 from schemas.errors import UsageError
 from schemas.explanations import tell_no_gain
 from schemas.mechanisms import severity
@@ -72,10 +75,24 @@ def test_a_named_cause_is_told_with_size_gain_interval_and_what_moved(lab: Lab) 
     ranked = next(line for line in text.splitlines() if "● gain_error" in line)
     assert " ".join(ranked.split()) == "● gain_error 880 99 % 98 % 10.0 ± 1.0 %"
     assert "k0: 1.000 ± 0.020 → 0.900 ± 0.010 N/mm, moved by 10 SD" in text
-    assert "Next recording to make\n    Hang 50 g on the cell" in text
+    assert "    Hang 50 g on the cell." in text.split("What to do\n")[1].splitlines()
     assert "leakage: 2.0 % droop" in text
     assert "Cannot be seen in these recordings\n    wrinkling" in text
     assert "What could not be asked\n    no temperature" in text
+
+
+def test_the_terminal_says_what_to_do_as_the_pages_do(lab: Lab) -> None:
+    """The constants to write into a rig's file stood on the page alone."""
+    names = ["S-1", "S-2", "S-6"]
+    with Results(lab.folder) as results:
+        standings = of_lab(results, names)
+    assert [s.specimen_id for s in standings] == names
+    for standing in standings:
+        title, sentences = list_next(standing)
+        assert sentences
+        lines = told(lab, standing.specimen_id).splitlines()
+        first = lines.index(f"  {title}") + 1
+        assert " ".join(line.strip() for line in lines[first:]).startswith(" ".join(map(str, sentences)))
 
 
 def test_a_cause_that_brings_no_gain_is_not_said_to_bring_one() -> None:

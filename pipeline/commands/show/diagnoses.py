@@ -18,13 +18,11 @@ from schemas.explanations import (
     list_explanations,
     tell_doubt,
     tell_no_gain,
-    tell_where_to_begin,
 )
 from schemas.mechanisms import (
     UNLISTED,
     amount,
     candidate,
-    list_actions,
     main,
     nested,
     parameter_words,
@@ -75,10 +73,25 @@ def describe_diagnoses(lab: Lab, specimens: Sequence[str], *, as_json: bool) -> 
     if as_json:
         return json.dumps([_parse_objects(row) for row in chosen], ensure_ascii=False, indent=1, default=str)
     missing = [name for name in specimens if name not in names]
-    parts = ["\n".join(_describe_diagnosis(row)) for row in chosen]
+    following = _list_next(lab, chosen)
+    parts = ["\n".join(_describe_diagnosis(row, following[row["specimen_id"]])) for row in chosen]
     if missing or not chosen:
         parts.append("No diagnoses are published for " + (", ".join(missing) if missing else "this lab") + ".")
     return make_safe("\n\n".join(parts).replace(NBSP, " ").replace(THIN, " "))
+
+
+def _list_next(lab: Lab, rows: Sequence[Row]) -> dict[str, tuple[str, list[str]]]:
+    """What to do next about each specimen, as its page says it: a heading and sentences."""
+    # Pages take long to import, and programs that ask for JSON need none of their words.
+    from reports.evidence import Standing
+    from reports.findings import list_next
+    from reports.results import Results
+    from reports.standings import of_lab
+
+    with Results(lab.folder) as results:
+        standings = {s.specimen_id: s for s in of_lab(results, [row["specimen_id"] for row in rows])}
+    bare = {row["specimen_id"]: Standing(row["specimen_id"], None, None, None, dict(row)) for row in rows}
+    return {name: list_next(standing) for name, standing in (bare | standings).items()}
 
 
 def _pick_specimen(rows: Sequence[Row], specimen_id: str) -> list[dict[str, Any]]:
@@ -91,8 +104,14 @@ def _parse_objects(row: Row) -> dict[str, Any]:
     }
 
 
-def _describe_diagnosis(row: Row) -> Iterator[str]:
-    """The finding first, then what carries it, then what to do, then what would have been seen."""
+def _describe_diagnosis(row: Row, following: tuple[str, list[str]]) -> Iterator[str]:
+    """The finding first, then what carries it, then what to do, then what would have been seen.
+
+    Parameters
+    ----------
+    row : of `diagnoses`, with what other tables say of it
+    following : heading and sentences of what to do next
+    """
     yield f"{_SIGNS.get(row['verdict'], '–')} {row['specimen_id']}: {describe_verdict(row)}"
     yield from _list_corrections(row)
     yield from _describe_gain(row)
@@ -101,18 +120,9 @@ def _describe_diagnosis(row: Row) -> Iterator[str]:
     yield from _describe_film(row)
     if row["unexplained"]:
         yield from _list_under("What no cause explains", row["unexplained"])
-    if row["verdict"] == "named":
-        actions = list_actions(row["mechanisms"] or ())
-        if actions:
-            yield from _list_under("What to do", actions)
-    if row["next_recording"]:
-        yield from _list_under("Next recording to make", [capital(row["next_recording"])])
-    if row["would_tell"]:
-        yield from _list_under("What would tell causes apart", row["would_tell"])
-    if not row["next_recording"] and not row["would_tell"]:
-        beginning = tell_where_to_begin(row)
-        if beginning:
-            yield from _list_under("What to do", beginning)
+    title, sentences = following
+    if sentences:
+        yield from _list_under(title, [str(sentence) for sentence in sentences])
     yield from _describe_visibility(row)
     if row["verdict"] is not None and row["could_not_ask"]:
         yield from _list_under("What could not be asked", row["could_not_ask"])
