@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from ingest.mcap_writer import RecordingWriter
+from schemas.numbers import digits
 
 TITLE = "Nightly: overhead, growth and workers"
 _TURNS = 3
@@ -34,7 +35,6 @@ _NIGHT = """
 import json, sys, time
 import pipeline.nightly.night
 from pipeline import Lab
-from schemas.numbers import digits
 from tests.helpers.machine import peak_mb
 if sys.argv[4] == "no pages":
     pipeline.nightly.night._write_report = lambda *_: None
