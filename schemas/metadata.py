@@ -369,6 +369,14 @@ class RigConstants:
     load_cell_range_n_sd: float | None = _key(_not_negative)
     amplifier_gain_kv_per_v: float | None = _key(_positive, "output voltage over command")
     amplifier_gain_kv_per_v_sd: float | None = _key(_not_negative)
+    amplifier_rise_time_constant_s: float | None = _key(
+        _positive, "time constant with which the output follows a command that rises"
+    )
+    amplifier_rise_time_constant_s_sd: float | None = _key(_not_negative)
+    amplifier_fall_time_constant_s: float | None = _key(_positive, "the same of one that falls")
+    amplifier_fall_time_constant_s_sd: float | None = _key(_not_negative)
+    amplifier_slew_kv_per_s: float | None = _key(_positive, "largest rate of the output")
+    amplifier_slew_kv_per_s_sd: float | None = _key(_not_negative)
     clamp_frequency_hz: float | None = _key(_positive, "measured frequency of the clamp without film")
     clamp_frequency_hz_sd: float | None = _key(_not_negative)
     force_gain: float | None = _key(_positive, "recorded over true force")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.fit.control.design import design_controllers
@@ -84,15 +85,15 @@ def assume_electronics(plant: Plant, rig: RigConstants) -> tuple[Electronics, st
     Parameters
     ----------
     plant : gives the largest voltage
-    rig : gives the gain of the amplifier, where its file states it
+    rig : gives gain and time constant of the amplifier, where its file states them
     """
-    usual = Electronics(plant.largest_kv, interval_s=INTERVAL_S)
-    gain = rig.amplifier_gain_kv_per_v
-    own = usual if gain is None else Electronics(plant.largest_kv, gain, interval_s=INTERVAL_S)
-    told = "of the rig file" if gain is not None else "assumed"
+    filed = {"gain_kv_per_v": rig.amplifier_gain_kv_per_v, "time_constant_s": rig.amplifier_rise_time_constant_s}
+    stated = {name: value for name, value in filed.items() if value is not None}
+    own = replace(Electronics(plant.largest_kv, interval_s=INTERVAL_S), **stated)
+    told = {name: "of the rig file" if name in stated else "assumed" for name in filed}
     note = (
-        f"voltage up to {own.largest_kv:.3g} kV, as the film was driven; amplifier {own.gain_kv_per_v:g} kV/V ({told});"
-        f" assumed: its lag {1e3 * own.time_constant_s:g} ms, filter {own.filter_hz:g} Hz, a decision every"
+        f"voltage up to {own.largest_kv:.3g} kV, as the film was driven; amplifier {own.gain_kv_per_v:g} kV/V ({told['gain_kv_per_v']}),"
+        f" its lag {1e3 * own.time_constant_s:g} ms ({told['time_constant_s']}); assumed: filter {own.filter_hz:g} Hz, a decision every"
         f" {1e3 * own.interval_s:g} ms; gains of {plant.steps} steps, relaxation of the mechanical model,"
         " the same in all parts of the film"
     )

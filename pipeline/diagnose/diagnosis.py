@@ -18,10 +18,10 @@ from pipeline.diagnose.faults.state import state_faults
 from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.judge import judge_session
 from pipeline.diagnose.proposals.next_recording import Rival, propose_separating
-from pipeline.diagnose.report import report_session
+from pipeline.diagnose.report import NO_COMMAND, report_session
 from pipeline.diagnose.results import AMBIGUOUS, UNKNOWN, Diagnosis, NextRecording
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.amplifier import find_amplifier_lag, fit_further_lag
+from pipeline.diagnose.search.amplifier import drop_filed_lag, find_amplifier_lag, fit_further_lag
 from pipeline.diagnose.search.consensus import find_consensus, search_from_consensus
 from pipeline.diagnose.search.discrepancies import compute_least_p
 from pipeline.diagnose.search.evidence import Evidence
@@ -62,6 +62,7 @@ from pipeline.diagnose.search.tempering import temper_weights
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 
+_LAG_IS_FILED = "The amplifier lags as its rig's file states: that is no finding, and what it makes of its command was not asked further."
 _FEW_STEPS = 3
 """Steps that bring a plain fit under the simulation of another film to its optimum."""
 
@@ -84,7 +85,9 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     """
     # 0. and 1. Recordings first: one session of those that agree with each other and their own metadata, with its noise,
     # simulated with a film and the rig as its file has it.
-    checked = check_recordings(recordings)
+    as_recorded = check_recordings(recordings)
+    checked = _drop_filed_lag(as_recorded)
+    lag_is_filed = checked is not as_recorded
     # 2. to 6. What is left, and which mechanisms explain it.
     evidence = _ask(checked)
     # What misses the others and no cause explains may be of another film.
@@ -111,7 +114,21 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     # 10. Numbers and words.
     extended = None if final is None else settle_outliers(final)
     found = report_session(checked.simulation, evidence, verdict, held_out, extended, proposal)
+    if lag_is_filed:
+        asked = (text for text in found.could_not_ask if text != NO_COMMAND)
+        found = replace(found, could_not_ask=(*asked, _LAG_IS_FILED))
     return state_faults(found, checked.faults)
+
+
+def _drop_filed_lag(checked: Checked) -> Checked:
+    """The session without what its amplifier makes of its command, where that lags as the rig's file states it."""
+    if checked.is_barred:
+        return checked
+    without = drop_filed_lag(checked.session, checked.simulation, checked.plain)
+    if without is None:
+        return checked
+    session, simulation, plain = fit_session(without)
+    return replace(checked, session=session, simulation=simulation, plain=plain)
 
 
 def _ask(checked: Checked) -> Evidence:

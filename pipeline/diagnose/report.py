@@ -42,6 +42,7 @@ from schemas.arrays import Float
 from schemas.mechanisms import UNLISTED, quote_name
 from schemas.numbers import capital, percent
 
+NO_COMMAND = "The command was not recorded: the amplifier's gain, lag and offset cannot be questioned."
 NORMAL_95 = 1.96
 """Half width of a 95 % interval of the normal distribution, in standard deviations."""
 _SMALL = 1e-3
@@ -447,7 +448,7 @@ def _list_unaskable(session: Session) -> tuple[str, ...]:
     if not protocols & {"sphs", "step"}:
         found.append("No electrical test: causes in drive and actuation leave no trace.")
     elif not session.kinds & kinds.AMPLIFIER and not session.unasked:
-        found.append("The command was not recorded: the amplifier's gain, lag and offset cannot be questioned.")
+        found.append(NO_COMMAND)
     if protocols & {"sphs", "step"} and not protocols & {"chirp", "cyclic", "relaxation", "cycle"}:
         found.append("No mechanical test: the film's own dynamics rest on the electrical ones.")
     if not np.isfinite(session.states.temperature_k).any():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.diagnose.diagnosis import diagnose
+from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.mechanisms.drive import FURTHER
 from pipeline.diagnose.rules import RULES
@@ -27,6 +29,7 @@ from pipeline.diagnose.search.tempering import temper_weights
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import central
+from schemas.recording import Recording
 from tests.helpers.truth_rig import KINDS, Effect, compact_session
 
 SEED = 990_000_001
@@ -113,3 +116,37 @@ def test_a_lag_that_the_monitor_shows_in_part_is_one_cause() -> None:
     assert found.extension.variants == {"drive_lag": FURTHER}
     behind = found.extension.severities["drive_lag"]["further_time_constant_s"].value
     assert behind == pytest.approx(3e-4, rel=0.2)
+
+
+LAG = Effect("drive_lag", 2e-3, {"fall_ratio": 1.8, "slew_kv_per_s": 2700.0})
+
+
+def _state_lag(recordings: Sequence[Recording], factor: float) -> list[RecordingFeatures]:
+    """Features of recordings whose rig's file states the lag of the virtual rig's amplifier, its time constants times a factor."""
+    stated = {
+        "amplifier_rise_time_constant_s": 2e-3 * factor,
+        "amplifier_fall_time_constant_s": 3.6e-3 * factor,
+        "amplifier_slew_kv_per_s": 2700.0,
+    }
+    return [reduce(replace(r, rig=replace(r.rig, **stated))) for r in recordings]
+
+
+@pytest.mark.slow
+def test_a_lag_that_the_rigs_file_states_is_no_finding() -> None:
+    """Every amplifier lags: each film of the laboratory was said to have a cause."""
+    found = diagnose(_state_lag(compact_session(SEED, [LAG]).recordings, 1.0))
+    assert found.verdict == "none", found.mechanisms
+    assert any("lags as its rig's file states" in text for text in found.could_not_ask)
+
+
+@pytest.mark.slow
+def test_a_lag_that_the_rigs_file_states_otherwise_is_a_finding() -> None:
+    found = diagnose(_state_lag(compact_session(SEED, [LAG]).recordings, 0.3))
+    assert (found.verdict, found.mechanisms) == ("named", ("drive_lag",))
+
+
+@pytest.mark.slow
+def test_what_is_beside_a_lag_of_the_file_is_named_alone() -> None:
+    session = compact_session(SEED, [LAG, ("amplitude_softening", KINDS["amplitude_softening"].typical)])
+    found = diagnose(_state_lag(session.recordings, 1.0))
+    assert (found.verdict, found.mechanisms) == ("named", ("amplitude_softening",))
