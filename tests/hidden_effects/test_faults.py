@@ -274,7 +274,12 @@ def test_what_many_recordings_share_is_named_with_all_of_them(name: str) -> None
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("id", "factor", "seed"), [("cyclic_softening", 3.0, 771_000_104), ("sensor_delay", 2.5, 771_000_114)]
+    ("id", "factor", "seed"),
+    [
+        ("cyclic_softening", 3.0, 771_000_104),
+        ("sensor_delay", 2.5, 771_000_114),
+        ("thermal_softening", 4.0, 771_000_104),
+    ],
 )
 def test_where_others_show_a_mechanism_it_is_no_fault_of_one_recording(id: str, factor: float, seed: int) -> None:
     """The last sweep was called another film's, the multisines late."""

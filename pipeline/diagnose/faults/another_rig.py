@@ -48,7 +48,12 @@ def find_another_rig(session: Session, simulation: Simulation, agreement: Agreem
         return None
     fall = suspect.temper(suspect.sound_chi2) - suspect.temper(left)
     odds = 0.5 * fall - 0.5 * _OF_RIG * float(np.log(max(fall, 2.0))) + float(np.log(RULES.fault.prior))
-    if odds < np.log(RULES.fault.named / (1 - RULES.fault.named)):
+    # What softens the film with time, strain or voltage makes another film of it, and is far more often there.
+    as_film = min(suspect.own_film_chi2, suspect.scaled_film_chi2)
+    over_film = 0.5 * (suspect.temper(as_film) - suspect.temper(left)) + float(
+        np.log(RULES.fault.prior / RULES.fault.mechanism)
+    )
+    if min(odds, over_film) < np.log(RULES.fault.named / (1 - RULES.fault.named)):
         return None
     names = tuple(session.recordings[n].recording_id for n in numbers)
     hypothesis = Hypothesis(FOREIGN_RIG, ANOTHER_RIG, None, 0.0, _OF_RIG)

@@ -121,14 +121,14 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
         recordings, fitted, fault = late
         found.append(fault)
     outside, agreement = _find_outside(*fitted)
-    if agreement is not None or len(suspects) > 1:
-        rig = None if agreement is None else find_another_rig(*fitted[:2], agreement)
-        change = _ask_change(recordings, fitted, agreement, suspects) if rig is None else rig
-        if change is not None:
-            found.append(change)
-            odd, outside, agreement = odd - frozenset(change.recordings), frozenset(), None
+    change = None if agreement is None else find_another_rig(*fitted[:2], agreement)
     if 2 * len(outside) > len(fitted[0].recordings):
         outside, agreement = frozenset(), None  # what most of them miss is no film that the others have
+    if change is None and (agreement is not None or len(suspects) > 1):
+        change = _ask_change(recordings, fitted, agreement, suspects)
+    if change is not None:
+        found.append(change)
+        odd, outside, agreement = odd - frozenset(change.recordings), frozenset(), None
     doubts: list[Doubt] = []
     if odd or outside:
         faults, doubts = _judge_each(recordings, levels, fitted, agreement, odd, outside)
