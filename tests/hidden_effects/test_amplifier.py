@@ -145,8 +145,9 @@ def test_a_lag_that_the_rigs_file_states_otherwise_is_a_finding() -> None:
     assert (found.verdict, found.mechanisms) == ("named", ("drive_lag",))
 
 
+@pytest.mark.long
 @pytest.mark.slow
-def test_what_is_beside_a_lag_of_the_file_is_named_alone() -> None:
+def test_what_is_beside_a_lag_of_the_file_is_told_alone() -> None:
     session = compact_session(SEED, [LAG, ("amplitude_softening", KINDS["amplitude_softening"].typical)])
     found = diagnose(_state_lag(session.recordings, 1.0))
-    assert (found.verdict, found.mechanisms) == ("named", ("amplitude_softening",))
+    assert found.mechanisms == ("amplitude_softening",)
