@@ -86,7 +86,7 @@ def test_a_recording_that_was_read_in_part_stands_among_what_is_to_be_done(tmp_p
     page = build_index(story, tmp_path)
     table = page[page.index("In short, what was found") :].partition("</table>")[0]
     assert "W-2_chirp" in table
-    assert "the file ends after 3.2 s" in table
+    assert "The file ends after 3.2 s." in table
     assert "Copy it again from the rig" in table
 
 
