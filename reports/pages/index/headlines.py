@@ -204,8 +204,8 @@ def _damaged(site: Site) -> list[Row]:
     if not rows:
         return []
     who = _list_some([site.recording(r["recording_id"], "") for r in rows], "recording")
-    one = f"{capital(listing.problem(rows[0]['problem'])).rstrip('.…')}." if len(rows) == 1 else ""
-    what = one or "Parts of them could not be read."
+    one = capital(listing.problem(rows[0]["problem"])).rstrip(".") if len(rows) == 1 else ""
+    what = f"{one}{'' if one.endswith('…') else '.'}" if one else "Parts of them could not be read."
     it, is_whole = ("it", "it is") if len(rows) == 1 else ("them", "they are")
     todo = f"What could be read is used. Copy {it} again from the rig if {is_whole} whole there, or exclude {it}."
     return [Row((who, what, todo))]
