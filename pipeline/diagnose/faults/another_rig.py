@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.diagnose.faults.agreement import Agreement, agrees, leave_out
 from pipeline.diagnose.faults.correct import list_corrections
 from pipeline.diagnose.faults.fault import FOREIGN_RIG, Fault
-from pipeline.diagnose.faults.hypotheses import ANOTHER_RIG, Hypothesis
+from pipeline.diagnose.faults.hypotheses import ANOTHER_RIG, OF_RIG, Hypothesis
 from pipeline.diagnose.faults.peers import has_peer
 from pipeline.diagnose.faults.predict import Suspect
 from pipeline.diagnose.rules import RULES
@@ -18,8 +18,6 @@ from schemas.protocols import CALIBRATION, MECHANICAL
 
 _FEWEST = 2
 """Mechanical recordings on either rig at least: what one recording shows is a fault of its own."""
-_OF_RIG = 3
-"""Free parameters of a rig: mass, stiffness and damping."""
 
 
 def find_another_rig(session: Session, simulation: Simulation, agreement: Agreement) -> Fault | None:
@@ -47,7 +45,7 @@ def find_another_rig(session: Session, simulation: Simulation, agreement: Agreem
     if not agrees(left / suspect.size, suspect.sound_chi2 / suspect.size):
         return None
     fall = suspect.temper(suspect.sound_chi2) - suspect.temper(left)
-    odds = 0.5 * fall - 0.5 * _OF_RIG * float(np.log(max(fall, 2.0))) + float(np.log(RULES.fault.prior))
+    odds = 0.5 * fall - 0.5 * OF_RIG * float(np.log(max(fall, 2.0))) + float(np.log(RULES.fault.prior))
     # What softens the film with time, strain or voltage makes another film of it, and is far more often there.
     as_film = min(suspect.own_film_chi2, suspect.scaled_film_chi2)
     over_film = 0.5 * (suspect.temper(as_film) - suspect.temper(left)) + float(
@@ -56,7 +54,7 @@ def find_another_rig(session: Session, simulation: Simulation, agreement: Agreem
     if min(odds, over_film) < np.log(RULES.fault.named / (1 - RULES.fault.named)):
         return None
     names = tuple(session.recordings[n].recording_id for n in numbers)
-    hypothesis = Hypothesis(FOREIGN_RIG, ANOTHER_RIG, None, 0.0, _OF_RIG)
+    hypothesis = Hypothesis(FOREIGN_RIG, ANOTHER_RIG, None, 0.0, OF_RIG)
     return Fault(
         FOREIGN_RIG,
         names,

@@ -50,7 +50,7 @@ _EXACT = 1e-6
 """Share of the distance of two places to which a continuous parameter is found."""
 _OF_FILM = 4
 """Parameters of a film of its own that one recording shows."""
-_OF_RIG = 3
+OF_RIG = 3
 """Parameters of a rig of its own: mass, stiffness and damping."""
 _NOTHING_LEFT = 0.02
 """Response over that predicted below which hardly any is left."""
@@ -126,7 +126,7 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanisms: Mechanisms) ->
     else:
         yield Hypothesis(SOUND, "", lambda: suspect.sound, 0.0)
         if not suspect.is_electrical:
-            yield Hypothesis(ids.FOREIGN_RIG, ANOTHER_RIG, None, prior, _OF_RIG, own_chi2=lambda: suspect.own_rig_chi2)
+            yield Hypothesis(ids.FOREIGN_RIG, ANOTHER_RIG, None, prior, OF_RIG, own_chi2=lambda: suspect.own_rig_chi2)
     yield Hypothesis(MECHANISM, "", None, 0.0)
     size = _weigh_size(suspect, suspect.sound, RULES.fault.mechanism_scale)
     for probability, free, own_chi2 in (

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.special import softmax
 
 from pipeline.diagnose.faults import fault as ids
 from pipeline.diagnose.faults.agreement import LOUDEST, agrees, count_chi2, measure_left
@@ -34,7 +35,7 @@ from pipeline.diagnose.simulation.session import Session, make_session
 from pipeline.transform.calibration import GRAVITY_M_PER_S2
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
-from schemas.numbers import significant
+from schemas.numbers import digits, significant
 from schemas.protocols import ELECTRICAL, MECHANICAL
 
 _ALIKE = 0.03
@@ -436,7 +437,7 @@ def find_wrong_file(
         return None if fault is None else (list(recordings), fitted, fault)
     fitting = [t for t in tried if _find_furthest(t.fitted[2]) <= RULES.fault.off]
     log = np.array([0.0, *(0.5 * (before - t.chi2) + np.log(RULES.fault.prior / _WAYS) for t in fitting)])
-    share = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+    share = softmax(log)
     if share[0] > 1 - RULES.fault.named:
         return None
     likely = sorted(
@@ -455,7 +456,7 @@ def find_wrong_file(
         tuple(r.recording_id for r in recordings),
         float(sum(p for p, t in zip(share[1:], fitting, strict=True) if t.remedy.cause == cause)),
         best.remedy.words
-        + (f" (or {len(likely) - 1} other ways of the corrections, as likely)" if len(likely) > 1 else ""),
+        + (f" (or {digits(len(likely) - 1, 'other way')} among the corrections)" if len(likely) > 1 else ""),
         corrections,
         False,
         measure_left(best.fitted[0], count_chi2(best.fitted[0], best.fitted[2].misfit)),
@@ -499,7 +500,7 @@ def _blame_file(session: Session, ranked: Sequence[tuple[float, _Remedy]]) -> Fa
     if not of_file or of_file[0][0] > rules.film_like:
         return None
     log = np.array([-rules.film_points * np.log(left) for left, _ in ranked])
-    share = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+    share = softmax(log)
     probability = float(share[[r.cause == RIG_CONSTANTS.id for _, r in ranked]].sum())
     if probability < rules.named:
         return None

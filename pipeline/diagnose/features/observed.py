@@ -119,11 +119,9 @@ def find_clipped(given: Channel, found: Channel, metadata: RecordingMetadata) ->
 
     A film rests on one level before a step and after it: there only a rest without noise was clipped, beside one that has some.
     """
-    if metadata.loading != MECHANICAL:
-        return np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
-    if metadata.protocol in ("chirp", "cyclic"):
+    if metadata.loading == MECHANICAL and metadata.protocol in ("chirp", "cyclic"):
         return flat_tops(given.values, given.resolution), flat_tops(found.values, found.resolution)
-    if metadata.protocol == "step":
+    if metadata.loading == MECHANICAL and metadata.protocol == "step":
         return np.zeros(given.values.shape, dtype=bool), find_still_rest(found.values)
     return np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
