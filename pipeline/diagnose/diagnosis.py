@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.diagnose.faults.another_film import Doubt, list_unexplained, weigh_doubts
+from pipeline.diagnose.faults.another_film import Change, Doubt, list_unexplained, weigh_change, weigh_doubts
 from pipeline.diagnose.faults.find import Checked, check_recordings
 from pipeline.diagnose.faults.fitted import fit_session
 from pipeline.diagnose.faults.sized import believe_sizes, find_doubt, replace_doubt, weigh_sizes
@@ -34,6 +34,7 @@ from pipeline.diagnose.search.fit_mechanisms import (
     temper_fit,
 )
 from pipeline.diagnose.search.form_functions import allow_form_errors, differentiate_regions, weigh_regions
+from pipeline.diagnose.search.found_elsewhere import try_found_elsewhere
 from pipeline.diagnose.search.held_out import predict_by_function, predict_left_out
 from pipeline.diagnose.search.likelihood import measure_quiet
 from pipeline.diagnose.search.named_regions import name_regions
@@ -94,6 +95,9 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     unexplained = list_unexplained(checked.doubts, checked.session, evidence)
     if unexplained:
         checked, evidence = _ask_without(unexplained, checked, evidence)
+    # So may a film that seems another from one recording on.
+    if checked.change is not None:
+        checked, evidence = _ask_unchanged(checked.change, checked, evidence)
     # Sizes may seem wrong only as long as no cause is at work.
     checked, evidence = _ask_as_sized(checked, evidence)
     # 7. The verdict, and 8. parts are left out and predicted: with the named causes, or the function of what has no name.
@@ -145,11 +149,33 @@ def _ask_without(doubts: Sequence[Doubt], checked: Checked, evidence: Evidence) 
         rest = fit_session([r for r in checked.session.recordings if r.recording_id not in names])
     except NotIdentifiableError:
         return checked, evidence
-    without = _ask(Checked(*rest, checked.faults))
+    evidence, without = _tell_each_other(evidence, _ask(Checked(*rest, checked.faults)))
     faults = weigh_doubts(doubts, checked.session, evidence, without)
     if any(f.sets_aside for f in faults):
         return Checked(*rest, (*checked.faults, *faults)), without
     return replace(checked, faults=(*checked.faults, *faults)), evidence
+
+
+def _ask_unchanged(change: Change, checked: Checked, evidence: Evidence) -> tuple[Checked, Evidence]:
+    """The session with the recordings from which on something seems to have changed, where a mechanism that does that to them is the more
+    probable; with what that says of the change."""
+    others = tuple(f for f in checked.faults if f is not change.fault)
+    as_one = _drop_filed_lag(Checked(*change.as_one, others))
+    unchanged, evidence = _tell_each_other(_ask(as_one), evidence)
+    probability = weigh_change(change, unchanged, evidence)
+    faults = replace_doubt(checked.faults, change.fault, change.fault.probability * probability)
+    if probability > 1 / 2:
+        return replace(checked, faults=faults), evidence
+    return replace(as_one, faults=tuple(f for f in faults if f.cause != change.fault.cause)), unchanged
+
+
+def _tell_each_other(first: Evidence, second: Evidence) -> tuple[Evidence, Evidence]:
+    """What two searches in recordings of one specimen found, each with what the other one found tried in it."""
+    in_first, in_second = try_found_elsewhere(second, first), try_found_elsewhere(first, second)
+    return (
+        first if in_first is None else _tell_causes(first, in_first),
+        second if in_second is None else _tell_causes(second, in_second),
+    )
 
 
 def _ask_as_sized(checked: Checked, evidence: Evidence) -> tuple[Checked, Evidence]:
@@ -277,11 +303,14 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
         if again >= RULES.alarm.mechanism_level:
             return replace(nothing, p_value=again, noise_fit=noise.model, louder=noise.weight)
     p_value = min(p_value, patterns.p_value if by_pattern else 1.0)
-    found = replace(nothing, p_value=p_value, plain=plain, singles=singles, posterior=posterior)
+    return _tell_causes(replace(nothing, p_value=p_value, plain=plain, singles=singles), posterior)
+
+
+def _tell_causes(evidence: Evidence, posterior: Posterior) -> Evidence:
+    """Step 6, the causes that a posterior tells, at their optimum, and what they leave."""
+    found, plain = replace(evidence, posterior=posterior), evidence.plain
     told = found.sure or found.best
     final = None if told is None else order_causes(refit_under(plain, told))
-
-    # 6. What the causes leave.
     return replace(found, final=final, patterns_after=test_patterns(plain if final is None else final))
 
 

@@ -14,7 +14,7 @@ from scipy.special import expit
 
 from pipeline.diagnose.faults.agreement import agrees, miss, sum_by_recording
 from pipeline.diagnose.faults.fault import FOREIGN_RECORDING, Correction, Fault
-from pipeline.diagnose.faults.fitted import fit_session
+from pipeline.diagnose.faults.fitted import Fitted, fit_session
 from pipeline.diagnose.faults.hypotheses import ANOTHER_FILM, weigh_another_film
 from pipeline.diagnose.faults.predict import Suspect
 from pipeline.diagnose.features.kinds import RecordingFeatures
@@ -22,6 +22,7 @@ from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.evidence import Evidence
 from pipeline.diagnose.search.extended_model import Extended
 from pipeline.diagnose.search.likelihood import Linearised
+from pipeline.diagnose.search.plain_fit import PlainFit
 from pipeline.diagnose.search.posterior import Hypothesis, weigh_fit
 from pipeline.diagnose.simulation.session import Session
 from schemas.arrays import Float
@@ -30,15 +31,31 @@ from schemas.errors import NotIdentifiableError
 
 @dataclass(frozen=True)
 class Doubt:
-    """A recording that a film of its own explains.
+    """Recordings that a film of their own explains: one, or all from one recording on.
 
     Parameters
     ----------
     log_prior : of another film, with what its free parameters cost
     """
 
-    recording_id: str
+    recordings: tuple[str, ...]
     log_prior: float
+
+
+@dataclass(frozen=True)
+class Change:
+    """A fault that recordings have from one on, with what a mechanism may say of it.
+
+    Parameters
+    ----------
+    fault : it
+    as_one : the session with these recordings among the others
+    doubt : that film and rig are the same in all of it
+    """
+
+    fault: Fault
+    as_one: Fitted
+    doubt: Doubt
 
 
 def doubt_film(suspect: Suspect) -> Doubt | None:
@@ -46,19 +63,33 @@ def doubt_film(suspect: Suspect) -> Doubt | None:
     if not agrees(suspect.own_film_chi2 / max(suspect.size, 1), suspect.sound_chi2 / max(suspect.size, 1)):
         return None
     recording = suspect.session.recordings[suspect.number]
-    return Doubt(recording.recording_id, weigh_another_film(suspect))
+    return Doubt((recording.recording_id,), weigh_another_film(suspect))
+
+
+def doubt_change(fault: Fault, as_one: Fitted, fit: PlainFit) -> Change:
+    """A change as one that the search for causes has to be asked about.
+
+    Parameters
+    ----------
+    fit : film and rig that the recordings before it agree on
+    """
+    session = as_one[0]
+    numbers = [n for n, r in enumerate(session.recordings) if r.recording_id in fault.recordings]
+    rig = int(np.bincount(session.rig[numbers]).argmax())
+    suspect = Suspect.of(session, numbers, fit, min(rig, len(fit.model.physical(fit.theta).rigs) - 1))
+    return Change(fault, as_one, Doubt(fault.recordings, weigh_another_film(suspect)))
 
 
 def list_unexplained(doubts: Sequence[Doubt], session: Session, evidence: Evidence) -> tuple[Doubt, ...]:
     """The doubts about recordings that miss the others under the most probable explanation as well."""
     best = None if evidence.posterior is None else evidence.posterior.hypotheses[0]
     chi2, size = sum_by_recording(session, _residual(session, evidence, best))
-    doubted = np.isin([r.recording_id for r in session.recordings], [d.recording_id for d in doubts])
+    doubted = np.isin([r.recording_id for r in session.recordings], [id for d in doubts for id in d.recordings])
     if 2 * doubted.sum() > doubted.size:
         return ()
     others = float(chi2[~doubted].sum() / max(size[~doubted].sum(), 1.0))
     missing = {r.recording_id for r, out in zip(session.recordings, miss(chi2, size, others), strict=True) if out}
-    return tuple(d for d in doubts if d.recording_id in missing)
+    return tuple(d for d in doubts if missing.issuperset(d.recordings))
 
 
 def _residual(session: Session, evidence: Evidence, best: Hypothesis | None) -> Float:
@@ -77,22 +108,40 @@ def weigh_doubts(doubts: Sequence[Doubt], session: Session, evidence: Evidence, 
     session : with these recordings among the others
     evidence, without : what the search found in it, and in the session without them
     """
-    suspects = [r for r in session.recordings if r.recording_id in {d.recording_id for d in doubts}]
-    try:
-        alone = sum(map(_weigh_alone, suspects))
-    except NotIdentifiableError:
-        return ()
-    odds = without.log_evidence + alone + sum(d.log_prior for d in doubts) - evidence.log_evidence
-    probability = float(expit(odds))
+    probability = weigh_other_films(doubts, session, evidence, without)
     if probability < 1 - RULES.fault.named:
         return ()
     alike = () if evidence.best is None else evidence.best.causes
-    return tuple(_state(own, probability, alike) for own in suspects)
+    return tuple(_state(own, probability, alike) for d in doubts for own in _list_recordings(d, session))
 
 
-def _weigh_alone(own: RecordingFeatures) -> float:
-    """Log evidence of a recording with a film of its own."""
-    session, simulation, plain = fit_session([own])
+def weigh_change(change: Change, evidence: Evidence, without: Evidence) -> float:
+    """Probability that recordings have the fault of a change, and no mechanism does in them what it does.
+
+    Parameters
+    ----------
+    evidence, without : what the search found with these recordings among the others, and without them
+    """
+    return weigh_other_films([change.doubt], change.as_one[0], evidence, without)
+
+
+def weigh_other_films(doubts: Sequence[Doubt], session: Session, evidence: Evidence, without: Evidence) -> float:
+    """Probability that the recordings of each doubt are of another film; 0 where they cannot be asked by themselves."""
+    try:
+        alone = sum(_weigh_alone(_list_recordings(d, session)) for d in doubts)
+    except NotIdentifiableError:
+        return 0.0
+    return float(expit(without.log_evidence + alone + sum(d.log_prior for d in doubts) - evidence.log_evidence))
+
+
+def _list_recordings(doubt: Doubt, session: Session) -> Sequence[RecordingFeatures]:
+    """Those that it is about."""
+    return [r for r in session.recordings if r.recording_id in doubt.recordings]
+
+
+def _weigh_alone(own: Sequence[RecordingFeatures]) -> float:
+    """Log evidence of recordings with a film of their own."""
+    session, simulation, plain = fit_session(own)
     of = Extended(session, simulation, plain.model, (), np.ones(session.size))
     fit = of.fit(plain.theta)
     return max(weigh_fit(fit, noise_alone=alone).log_joint for alone in (True, False))

@@ -19,7 +19,7 @@ from pipeline.diagnose.faults.agreement import (
     refit_rest,
     sum_by_recording,
 )
-from pipeline.diagnose.faults.another_film import Doubt, doubt_film
+from pipeline.diagnose.faults.another_film import Change, Doubt, doubt_change, doubt_film
 from pipeline.diagnose.faults.another_rig import find_another_rig
 from pipeline.diagnose.faults.change import find_change, merge_foreign
 from pipeline.diagnose.faults.clock import find_late
@@ -69,6 +69,7 @@ class Checked:
     Parameters
     ----------
     doubts : recordings in the session that may be those of another film, or show what a mechanism does to this one
+    change : what is said among the faults of all recordings from one on, and a mechanism may do to them as well
     """
 
     session: Session
@@ -76,6 +77,7 @@ class Checked:
     plain: PlainFit
     faults: tuple[Fault, ...]
     doubts: tuple[Doubt, ...] = ()
+    change: Change | None = None
 
     @property
     def is_barred(self) -> bool:
@@ -124,8 +126,11 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
     change = None if agreement is None else find_another_rig(*fitted[:2], agreement)
     if 2 * len(outside) > len(fitted[0].recordings):
         outside, agreement = frozenset(), None  # what most of them miss is no film that the others have
+    doubted: Change | None = None
     if change is None and (agreement is not None or len(suspects) > 1):
         change = _ask_change(recordings, fitted, agreement, suspects)
+        if change is not None and agreement is not None and not suspects:
+            doubted = _doubt_change(change, fitted, agreement)
     if change is not None:
         found.append(change)
         odd, outside, agreement = odd - frozenset(change.recordings), frozenset(), None
@@ -139,7 +144,7 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
     if not culprits:
         sizes = find_wrong_sizes(fitted)
         found += [] if sizes is None else [sizes]
-    return Checked(*fitted, tuple(merge_lengths(found)), tuple(doubts))
+    return Checked(*fitted, tuple(merge_lengths(found)), tuple(doubts), doubted)
 
 
 def _read(recordings: Sequence[RecordingFeatures]) -> Sequence[Levels]:
@@ -204,6 +209,13 @@ def _ask_change(
     return change
 
 
+def _doubt_change(change: Fault, fitted: Fitted, agreement: Agreement) -> Change:
+    """The change as one that the search for causes has to be asked about."""
+    session, simulation, _ = fitted
+    members = np.isin([r.recording_id for r in session.recordings], change.recordings)
+    return doubt_change(change, fitted, leave_out(session, simulation, agreement.fit, members))
+
+
 def _judge_each(
     recordings: Sequence[RecordingFeatures],
     levels: dict[str, Levels],
@@ -238,7 +250,7 @@ def _judge_each(
         elif len(numbers) == 1:
             doubt = doubt_film(suspect)
             if doubt is not None:
-                doubts[doubt.recording_id] = doubt
+                doubts[suspect.session.recordings[suspect.number].recording_id] = doubt
 
     for numbers in _list_alike(whole, asked):
         judge(numbers, partial(judge_together, numbers=numbers, levels=levels))

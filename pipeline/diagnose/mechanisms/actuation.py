@@ -76,13 +76,17 @@ def _degraded(values: Values, variant: str) -> Effect:
 def _wrinkled(values: Values, variant: str) -> Effect:
     overload, growth = values["overload"], values["growth"]
     rise, recovery, kept = values["rise_s"], values["recovery_s"], values["kept"]
-    at_once = variant == "at_once"
+    at_once, of_area = variant == "at_once", variant == "of_area"
     if overload <= 0:
         return Effect()
 
+    def begin(largest: float) -> float:
+        """The squared voltage from which there are wrinkles."""
+        return (largest / (1 + overload)) ** 2
+
     def lost(squared: Float, largest: float) -> Float:
         """What wrinkles take of the squared voltage in the end."""
-        return np.asarray((1 - growth) * np.maximum(squared - (largest / (1 + overload)) ** 2, 0.0))
+        return np.asarray((1 - growth) * np.maximum(squared - begin(largest), 0.0))
 
     def stops(wave: Wave) -> Wave:
         if wave.interval_s is None:
@@ -92,18 +96,24 @@ def _wrinkled(values: Values, variant: str) -> Effect:
             return wave
         if at_once:
             return replace(wave, squared=wave.squared - target)
+        if of_area:
+            share = follow_in_steady_state((1 - growth) * (target > 0), wave.interval_s, rise, recovery)
+            above = wave.film_kv**2 - begin(wave.scale.voltage_kv)
+            return replace(wave, squared=wave.squared - share * np.where(above > 0, above, kept * above))
         held = follow_in_steady_state(target, wave.interval_s, rise, recovery)
         return replace(wave, squared=np.maximum(wave.squared - held, kept * held))
 
     def edge(view: View, side: float) -> Complex | Float:
-        share = lost(view.voltage_kv**2, view.scale.voltage_kv) / np.maximum(view.voltage_kv, 1e-9) ** 2
+        squared = np.maximum(view.voltage_kv, 1e-9) ** 2
+        share = lost(view.voltage_kv**2, view.scale.voltage_kv) / squared
         if at_once:
             return np.asarray(1 - share)
         s = 2j * np.pi * view.frequency_hz
         if side > 0:
             return np.asarray(1 - share / (1 + s * rise))
         # Wrinkles that are still there without voltage keep the tension down.
-        return np.asarray(1 - share - kept * share * s * recovery / (1 + s * recovery))
+        left = (1 - growth) * begin(view.scale.voltage_kv) / squared * (share > 0) if of_area else share
+        return np.asarray(1 - share - kept * left * s * recovery / (1 + s * recovery))
 
     return Effect(squared=(stops,), film_edges=(edge,))
 
@@ -250,7 +260,7 @@ WRINKLING = Mechanism(
     stage="actuation",
     depends_on=("voltage",),
     equation="V² stops growing above V_c; what is lost comes with a time t_r and goes with a time t_w, a part of it acting on without "
-    "voltage, or comes and goes at once",
+    "voltage, or comes and goes at once, or in a share of the area, which comes with t_r, goes with t_w and holds V² at V_c² meanwhile",
     source="loss of tension (thesis, section 5.4.6)",
     parameters=(
         Parameter("overload", "1", "largest voltage over the onset, less 1", 0.02, 1.0),
@@ -275,7 +285,7 @@ WRINKLING = Mechanism(
         "field_dependent_permittivity": "no onset there",
     },
     effect=_wrinkled,
-    variants=("lasting", "at_once"),
+    variants=("lasting", "at_once", "of_area"),
     onset=True,
     report=_onset_kv,
 )

@@ -36,7 +36,7 @@ def find_consensus(fits: Sequence[ExtendedFit], mechanical: Float | None) -> Hyp
     """
     starts = list(fits)
     if mechanical is not None:
-        starts.append(_stand_at(fits[0], np.concatenate([mechanical, fits[0].x[mechanical.size :]])))
+        starts.append(stand_at(fits[0], np.concatenate([mechanical, fits[0].x[mechanical.size :]])))
     starts = [f for f in starts if Linearised.of(f).is_computed] or list(fits)
     return max((settle_hypothesis(weigh_fit(f)) for f in starts), key=lambda h: h.log_evidence)
 
@@ -55,13 +55,13 @@ def search_from_consensus(base: ExtendedFit, agreed: Hypothesis) -> list[Hypothe
     """
     if agreed.log_evidence < weigh_fit(base).log_evidence + RULES.fit.bent:
         return []
-    start = _stand_at(agreed.model, agreed.model.x)
+    start = stand_at(agreed.model, agreed.model.x)
     signatures = compute_signatures(compute_secants(start), start)
     scores = find_best_scores(signatures)
     return [weigh_fit(f) for f in fit_each_mechanism(start, scores, signatures, RULES.fit.from_consensus)]
 
 
-def _stand_at(fit: ExtendedFit, x: Float) -> ExtendedFit:
+def stand_at(fit: ExtendedFit, x: Float) -> ExtendedFit:
     """The model at entries (P,), not at its optimum, under weights that allow every block a share of what is missed there."""
     session = fit.of.session
     simulation = fit.of.simulation.about(fit.of.model.physical(x[: fit.of.model.size]))
