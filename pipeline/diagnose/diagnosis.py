@@ -144,7 +144,7 @@ def _ask(checked: Checked) -> Evidence:
 
 def _ask_without(doubts: Sequence[Doubt], checked: Checked, evidence: Evidence) -> tuple[Checked, Evidence]:
     """The session without recordings that may be of another film, where that is the more probable; with what that says of them."""
-    names = {d.recording_id for d in doubts}
+    names = {id for d in doubts for id in d.recordings}
     try:
         rest = fit_session([r for r in checked.session.recordings if r.recording_id not in names])
     except NotIdentifiableError:

@@ -97,7 +97,7 @@ def _wrinkled(values: Values, variant: str) -> Effect:
         if at_once:
             return replace(wave, squared=wave.squared - target)
         if of_area:
-            share = follow_in_steady_state((1 - growth) * (target > 0), wave.interval_s, rise, recovery)
+            share = follow_in_steady_state(np.where(target > 0, 1 - growth, 0.0), wave.interval_s, rise, recovery)
             above = wave.film_kv**2 - begin(wave.scale.voltage_kv)
             return replace(wave, squared=wave.squared - share * np.where(above > 0, above, kept * above))
         held = follow_in_steady_state(target, wave.interval_s, rise, recovery)
