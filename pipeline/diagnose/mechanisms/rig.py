@@ -36,20 +36,26 @@ def _constants(values: Values, variant: str) -> Effect:
 
 
 def _damping(values: Values, variant: str) -> Effect:
-    ratio = values["damping_ratio"]
+    ratio, yielding = values["damping_ratio"], values["yielding"]
 
     def more(rig: Rig) -> Rig:
-        return replace(rig, damping=rig.damping + ratio * rig.critical_damping)
+        # As much as takes the same work from the clamp alone, which swings at its own frequency.
+        return replace(rig, damping=rig.damping + ratio / (1 + yielding**2) * rig.critical_damping)
+
+    def gives_way(own: Complex, rig: Rig, view: View, k: Complex) -> Complex:
+        # The spring behind the damper takes up what moves faster (Zener's solid), beside what `more` has counted.
+        turned = 2j * np.pi * view.frequency_hz / rig.clamp_omega
+        return np.asarray(own + 2 * ratio * turned * (1 / (1 + yielding * turned) - 1 / (1 + yielding**2)))
 
     def dragged(own: Complex, rig: Rig, view: View, k: Complex) -> Complex:
         # Linear damping that takes as much work from a sinusoid; the motion that it brakes is found with it.
         omega = 2 * np.pi * view.frequency_hz
         critical = rig.critical_damping * rig.compliance
-        reference = view.scale.largest_strain * rig.clamp_omega
+        fastest = view.scale.force_rate_n_per_s or np.inf
         # The film's strain moves the clamp by k/kL of the whole: x′ = x0 (k/kL)/(own + k/kL). The drag adds to its imaginary part.
         alone_with_film = rig.loaded(k, own)
         still, moving = alone_with_film.real**2, alone_with_film.imag
-        speed = view.strain * omega * np.abs(k * rig.compliance) / reference
+        speed = view.strain * view.scale.length_mm * omega * np.abs(k) / fastest
         growth = values["growth"]
         # log d + p/2 log |own + k/kL + jd|² = log of the drag at |…| = 1: nearly straight in log d, so that Newton's steps are few.
         level = np.log(np.maximum(omega * ratio * critical * speed**growth, _NO_DRAG))
@@ -64,6 +70,15 @@ def _damping(values: Values, variant: str) -> Effect:
                 break
         return np.asarray(own + 1j * np.exp(log_drag))
 
+    def third(rig: Rig, view: View, k: Complex) -> Complex:
+        # A force that follows |v|^p v of a sinusoid v has a third harmonic of p/(p + 4) of its fundamental, in phase with v³.
+        own = rig.clamp(2 * np.pi * view.frequency_hz)
+        braked = dragged(own, rig, view, k)
+        share = 1j * k * rig.compliance / rig.loaded(k, braked)
+        speed = share / np.maximum(np.abs(share), _NO_DRAG)
+        size = np.abs((braked - own) * share) * rig.stiffness * view.strain * view.scale.length_mm
+        return np.asarray(-size * values["growth"] / (values["growth"] + 4) * speed**3)
+
     def second(own: Complex, rig: Rig, view: View, k: Complex) -> Complex:
         # A small mass on the clamp, as heavy as brings that damping when it is tuned to the clamp: μ/(4ζ₂).
         omega = 2 * np.pi * view.frequency_hz
@@ -75,8 +90,10 @@ def _damping(values: Values, variant: str) -> Effect:
         return np.asarray(own - rig.compliance * rig.mass * share * omega**2 * spring / of_the_second)
 
     if variant == "damper":
-        return Effect(rig=(more,))
-    return Effect(clamp=(dragged if variant == "drag" else second,))
+        return Effect(rig=(more,), clamp=(gives_way,) if yielding > 0 else ())
+    if variant == "drag":
+        return Effect(clamp=(dragged,), clamp_third=(third,))
+    return Effect(clamp=(second,))
 
 
 RIG_CONSTANTS = Mechanism(
@@ -110,18 +127,21 @@ LOAD_CELL_DAMPING = Mechanism(
     id="load_cell_damping",
     stage="rig",
     depends_on=("frequency", "rate"),
-    equation="cL + 2ζ√(kL M), or 2ζ√(kL M) (v/v0)^p with the clamp's speed v, or a small damped mass on the clamp",
-    source="the same equation of motion; equivalent linear damping and second mass: Den Hartog, Mechanical Vibrations, "
+    equation="cL + 2ζ√(kL M) with a spring behind it, or 2ζ√(kL M) (v/v0)^p with the clamp's speed v, or a small damped mass on the clamp",
+    source="the same equation of motion; Zener's solid; equivalent linear damping and second mass: Den Hartog, Mechanical Vibrations, "
     "sections 8.7 and 3.3",
     parameters=(
         Parameter("damping_ratio", "1", "damping ratio that is missing", 0.002, 0.03, most=0.5),
         Parameter("tuning", "1", "frequency of the second mass over that of the clamp", 0.85, 1.2, SHAPE, least=0.3),
         Parameter(
-            "growth", "1", "exponent p of the damping over the speed; v0: the driven end at the largest strain and the "
-            "clamp's own frequency", 0.1, 1.5, SHAPE, least=0.0, most=3.0,
+            "growth", "1", "exponent p of the damping over the speed; v0: the fastest that the clamp was seen to move", 0.1, 1.5, SHAPE, least=0.0, most=3.0,
         ),
         # A narrower one stores energy and takes none: a resonance of the frame is no damping.
         Parameter("width", "1", "damping ratio ζ₂ of the second mass", 0.02, 0.2, SHAPE, least=0.02, most=1.0),
+        Parameter(
+            "yielding", "1", "the clamp's own frequency over the one from which the spring behind the damper gives way", 0.0, 1.0, SHAPE,
+            log=False, most=5.0,
+        ),
     ),
     shows=MECHANICAL | ELECTRICAL | {kinds.TAP_RING},
     faint=("step", "cyclic", "relaxation", "cycle"),

@@ -18,7 +18,7 @@ from schemas.arrays import Complex, Float, Int
 @dataclass(frozen=True)
 class Scale:
     """What the whole session has: largest strain amplitude, largest voltage kV, exposure kV² s, duration s, length mm, mechanical
-    cycles, and their sum with the strain amplitude of each."""
+    cycles, and their sum with the strain amplitude of each; largest rate of the force of a driven sinusoid N/s, 0 without any."""
 
     strain: float
     voltage_kv: float
@@ -27,6 +27,7 @@ class Scale:
     length_mm: float
     cycles: float = 0.0
     path: float = 0.0
+    force_rate_n_per_s: float = 0.0
 
     @property
     def largest_strain(self) -> float:
@@ -198,6 +199,7 @@ class Effect:
     film : stiffness and the share of the actuation force that reaches the ends
     tension : tension of the film over time, of a sinusoid or along a course
     rig, clamp : constants, and the clamp's dynamic stiffness over kL, given the film's stiffness on it
+    clamp_third : third harmonic of a force on the clamp N, (S, J) phases against the driven end, given the film's stiffness
     force, displacement, voltage, capacitance : factors of the channels
     reading : force of the load cell over time
     picked_up : force N, (S, W) as the wave, that its channel picks up from the voltage, past film and rig
@@ -216,6 +218,7 @@ class Effect:
     tension: tuple[Callable[[Course], Float], ...] = ()
     rig: tuple[Callable[[Rig], Rig], ...] = ()
     clamp: tuple[Callable[[Complex, Rig, View, Complex], Complex], ...] = ()
+    clamp_third: tuple[Callable[[Rig, View, Complex], Complex], ...] = ()
     force: tuple[Factor, ...] = ()
     displacement: tuple[Factor, ...] = ()
     voltage: tuple[Factor, ...] = ()

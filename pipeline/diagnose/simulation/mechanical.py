@@ -81,7 +81,7 @@ class _Groups:
 class MechanicalFamily(Family, ABC):
     """Blocks of mechanical tests of one kind."""
 
-    inputs = Inputs.named("film rigs", "film tension rig clamp force displacement reading")
+    inputs = Inputs.named("film rigs", "film tension rig clamp clamp_third force displacement reading")
 
     def __init__(self, session: Session, places: Sequence[Place], nodes: Float, kind: str) -> None:
         super().__init__(session, places, nodes, kind)
@@ -92,7 +92,23 @@ class MechanicalFamily(Family, ABC):
 
     def of_spectra(self, physical: Physical | Several, effect: Effect) -> Float:
         """Features (rows,) without elements and readings; of several at once (B, rows)."""
-        return self.apply(self.linear(physical, effect).response)
+        values = self.apply(self.linear(physical, effect).response)
+        if effect.clamp_third:
+            self.add_third(values, physical, effect)
+        return values
+
+    def add_third(self, values: Float, physical: Physical | Several, effect: Effect) -> None:  # noqa: B027
+        """Adds the third harmonic of forces on the clamp to features (rows,) or (B, rows), where there are harmonics."""
+
+    def third(self, physical: Physical | Several, effect: Effect, views: tuple[View, View, View]) -> Complex:
+        """Third harmonic of the load cell's force, N, that forces on the clamp make, (S, C) or (B, S, C)."""
+        rig = rig_of(physical, self.rig, effect)
+        view, _, at_third = views
+        k = film_at(physical, effect, view).k
+        k_third = film_at(physical, effect, at_third).k
+        own = dynamic(rig, at_third, effect, k_third)
+        total = sum(force(rig, view, k) for force in effect.clamp_third)
+        return np.asarray(total * rig.electrical(k_third, own) * channel(effect.force, at_third))
 
     def linear(self, physical: Physical | Several, effect: Effect, view: View | None = None) -> Linear:
         """The response without elements and readings, at the nodes or at the frequencies of another view."""
@@ -174,9 +190,18 @@ class CyclicFamily(MechanicalFamily):
             values = self.of_spectra(physical, effect)
         else:
             values = self._with_elements(physical, effect, loads)
+            if effect.clamp_third:
+                self.add_third(values, physical, effect)
         if loads is not None and effect.reading:
             self._read(values, physical, effect, loads)
         return values
+
+    def add_third(self, values: Float, physical: Physical | Several, effect: Effect) -> None:
+        """Adds the third harmonic of forces on the clamp to features (rows,) or (B, rows)."""
+        harmonic = self._added[2]
+        own = harmonic.order == 3
+        seen = self.third(physical, effect, self._own)[..., harmonic.state[own], 0]
+        values[..., harmonic.rows[own]] += np.where(harmonic.imaginary[own], seen.imag, seen.real)
 
     def _find_groups(self) -> _Groups:
         """Groups of cycles with response and harmonics; cycles that levels are told against have no level."""

@@ -18,6 +18,7 @@ from pipeline.diagnose.features.kinds import (
     AMPLIFIER,
     CHIRP_RESPONSE,
     CYCLIC_CAPACITANCE,
+    CYCLIC_RESPONSE,
     EXTRA_MASS,
     SPHS_CAPACITANCE,
     STEP_CAPACITANCE,
@@ -309,6 +310,7 @@ def make_session(
         cycles=sum(cycles),
         path=sum(n * r.values.get("largest_strain", 0.0) for n, r in zip(cycles, ordered, strict=True)),
         length_mm=next((r.values["strain_length_mm"] for r in ordered if "strain_length_mm" in r.values), 1.0),
+        force_rate_n_per_s=max((_measure_force_rate(r) for r in ordered), default=0.0),
     )
     return Session(
         specimen_id=specimens[0],
@@ -350,6 +352,29 @@ def follow_sweep(block: FeatureBlock) -> Float:
     steps = np.diff(time[order]) * (f[order][1:] + f[order][:-1]) / 2
     passed[order] = np.concatenate([[0.0], np.cumsum(steps)])
     return passed
+
+
+def _measure_force_rate(recording: RecordingFeatures) -> float:
+    """Largest rate of the force that a recording's driven sinusoids have, N/s: amplitude times angular frequency."""
+    found = 0.0
+    for block in recording.blocks:
+        n = block.size // 2
+        f = block.frequency_hz[:n]
+        if block.kind == CHIRP_RESPONSE:
+            travel = np.interp(
+                f,
+                *(
+                    block.support[name][np.argsort(block.support["profile_hz"])]
+                    for name in ("profile_hz", "profile_mm")
+                ),
+            )
+        elif block.kind == CYCLIC_RESPONSE:
+            travel = block.amplitude[:n] * recording.values.get("strain_length_mm", 1.0)
+        else:
+            continue
+        force = np.hypot(block.value[:n], block.value[n:]) * travel
+        found = max(found, float(np.max(2 * np.pi * f * force, initial=0.0)))
+    return found
 
 
 def _count_cycles(recording: RecordingFeatures) -> float:

@@ -19,7 +19,7 @@ from pipeline.diagnose.simulation.effects import NONE, BySize, Effect, View, ben
 from pipeline.diagnose.simulation.families import rig_of
 from pipeline.diagnose.simulation.mechanical import Linear, MechanicalFamily, channels
 from pipeline.diagnose.simulation.nodes import POINTS
-from pipeline.diagnose.simulation.parameters import Physical
+from pipeline.diagnose.simulation.parameters import Physical, Several
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.diagnose.simulation.sweep_courses import SweepCourse, SweepCourses
 from schemas.arrays import Complex, Float, Int
@@ -129,6 +129,8 @@ class SweepFamily(MechanicalFamily):
         """Features (rows,) of the family; `loads` where the effect has elements or readings."""
         linear = self.linear(physical, effect)
         values = self.apply(linear.response)
+        if effect.clamp_third:
+            self.add_third(values, physical, effect)
         # Where no response is among the features (it is left out, to be predicted), no sweep is known over time.
         if loads is None or not self._sweeps or not (effect.tension or effect.reading):
             return values
@@ -148,6 +150,17 @@ class SweepFamily(MechanicalFamily):
             for number, own in zip(alike.number, seen, strict=True):
                 self._read(values, self._sweeps[number], own)
         return values
+
+    def add_third(self, values: Float, physical: Physical | Several, effect: Effect) -> None:
+        """Adds the third harmonic of forces on the clamp to features (rows,) or (B, rows)."""
+        third = self.third(physical, effect, self._coarse)
+        for p in self.places:
+            if p.block.kind != CHIRP_HARMONIC:
+                continue
+            seen = self._seen[id(p)]
+            own = third[..., min(self.state_of[id(p)], third.shape[-2] - 1), :]
+            both = np.where(seen.order == 3, own @ seen.harmonic.T, 0.0)
+            values[..., self.spans[id(p)]] += np.concatenate([both.real, both.imag], axis=-1)
 
     def _bent(
         self,
