@@ -10,7 +10,8 @@ with r² the sum of squares of the group's n whitened residuals and m ≤ `form.
 thousand standard deviations says little more against a hypothesis than one that is missed by a thousand, and one within the noise
 counts in full. (Not so a calibration: no film is in it, and what contradicts it is the sensor or the rig.) In place of n − m stands the least r² that any hypothesis leaves, where that is less: the noise of a test may be quieter
 than that of its rests, or quieter by chance, and what lies between the two is misfit of all others. It may also be louder: r² over a
-scale, for all n residuals. A scale mixture of normals: Andrews and Mallows 1974; a form error in proportion to the effect:
+scale, for all n residuals. How often groups drift or are louder depends on the session (`form.session`, `form.many`), of which there are
+three kinds: L is summed over these. A scale mixture of normals: Andrews and Mallows 1974; a form error in proportion to the effect:
 Brynjarsdóttir and O'Hagan 2014.
 """
 
@@ -21,6 +22,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.special import logsumexp
 
 from pipeline.diagnose.features.kinds import CALIBRATIONS
 from pipeline.diagnose.rules import RULES
@@ -38,6 +40,8 @@ _STEPS = 6
 """Linear steps to the optimum under the mixture at most."""
 _SETTLED = 1e-4
 """Rise of the log likelihood, twice as foreseen, below which a step is not taken any more."""
+_DRIFTS, _ODD = 1, 2
+"""Numbers of the ways in which a group drifts, and in which something else is wrong."""
 _NEVER = 1e-300
 """A probability that is none."""
 _LONGEST = 0.7
@@ -159,22 +163,23 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Mixture:
-    """The mixture of variances by which groups may be missed, A of them.
+    """The mixture of variances by which groups may be missed, A of them, in ways: the form is wrong, a group drifts, something else is
+    wrong, the noise is louder.
 
     Parameters
     ----------
     groups : of the features
-    log_prior : (A, G) of each variance, with what does not depend on the residual
-    precision : (A, G) of the squares beyond the noise, of the last `louder` rows of all squares
-    louder : rows in which the noise is louder
-    usual : (A,) False where something else is wrong
+    log_prior : (A, G) of each variance within its way, with what does not depend on the residual
+    precision : (A, G) of the squares beyond the noise, of the `ways[-1]` rows of all squares
+    ways : rows of each way
+    believed : (K, ways) probabilities of the ways in each kind of session
     """
 
     groups: Groups
     log_prior: Float
     precision: Float
-    louder: int
-    usual: Bool
+    ways: tuple[slice, ...]
+    believed: Float
 
     @classmethod
     def of(cls, groups: Groups, trace: Float, *, noise_alone: bool) -> Mixture:
@@ -190,32 +195,58 @@ class Mixture:
             shares[:, None] ** 2 * trace * n / modes,
             np.broadcast_to(wide[:, None], (wide.size, n.size)),
         ])  # fmt: skip
-        usual = (1 - rules.noisy - rules.drifting - rules.outlier) / (1 + shares.size)
-        rare = np.full(slow.size, rules.drifting / slow.size), np.full(other.size, rules.outlier / max(other.size, 1))
-        believed = np.repeat(np.concatenate([np.full(1 + shares.size, usual), *rare])[:, None], n.size, axis=1)
-        # In a calibration there is nothing that nobody has thought of.
-        believed[1 + shares.size :, groups.are_of(CALIBRATIONS)] = _NEVER
-        each = np.log(believed) - 0.5 * noise - 0.5 * modes * np.log1p(variance)
-        noisy = np.log(rules.noisy / louder.size) - 0.5 * n * np.log(louder)
-        kept = np.ones(each.shape[0] + louder.size, dtype=bool)
-        kept[1 + shares.size + slow.size : each.shape[0]] = False
+        counts = 1 + shares.size, slow.size, other.size, louder.size
+        ends = np.cumsum([0, *counts])
+        ways = tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        within = np.concatenate([np.full(count, -np.log(max(count, 1))) for count in counts[:-1]])
+        each = within[:, None] - 0.5 * noise - 0.5 * modes * np.log1p(variance)
+        # What drifts slowly is wrong by fewer modes; the others hold noise.
+        few = np.minimum(n, rules.drift_modes)
+        drifting = 0.5 * (modes - few) * (np.log1p(variance[ways[_DRIFTS]]) - 1)
+        each[ways[_DRIFTS]] += np.where(modes > few, drifting, 0.0)
+        # In a calibration there is nothing that nobody has thought of, and no drift.
+        each[counts[0] :, groups.are_of(CALIBRATIONS)] = np.log(_NEVER)
+        noisy = -np.log(louder.size) - 0.5 * n * np.log(louder)
         precision = np.concatenate([1 / (1 + variance), np.broadcast_to(1 / louder, noisy.shape)])
-        return cls(groups, np.concatenate([each, noisy]), precision, louder.size, kept)
+        return cls(groups, np.concatenate([each, noisy]), precision, ways, _believe_ways())
 
-    def score(self, squares: Float) -> tuple[Float, Float, Float]:
+    def score(self, squares: Float) -> tuple[float, Float, Float]:
         """What `score_groups` returns, of sums of squares (G,)."""
         asked = np.repeat(np.maximum(squares - self.groups.noise, 0.0)[None], self.log_prior.shape[0], axis=0)
-        asked[-self.louder :] = squares
+        asked[self.ways[-1]] = squares
         each = self.log_prior - 0.5 * asked * self.precision
         highest = each.max(axis=0)
         share = np.exp(each - highest)
-        total = share.sum(axis=0)
-        share /= total
-        return highest + np.log(total), np.sum(share * self.precision, axis=0), share[~self.usual].sum(axis=0)
+        of_way = np.array([share[rows].sum(axis=0) for rows in self.ways])
+        weighed = np.array([np.sum(share[rows] * self.precision[rows], axis=0) for rows in self.ways])
+        # One kind of session for all groups: where many drift, another that does is no surprise.
+        total = self.believed @ of_way
+        of_kind = _log_kinds() + np.log(total).sum(axis=1)
+        log = float(logsumexp(of_kind))
+        kind = np.exp(of_kind - log)[:, None]
+        odd = self.believed[:, _ODD : _ODD + 1] * of_way[_ODD]
+        return (
+            log + float(highest.sum()),
+            np.sum(kind * (self.believed @ weighed) / total, axis=0),
+            np.sum(kind * odd / total, axis=0),
+        )
 
 
-def score_groups(groups: Groups, residual: Float, trace: Float, *, noise_alone: bool) -> tuple[Float, Float, Float]:
-    """Log likelihood of each group, and the weight that a square has in it.
+def _believe_ways() -> Float:
+    """(3, 4) probabilities of the ways in which a group may be missed, in a session of usual noise, one that drifts, and a noisy one."""
+    rules = RULES.form
+    rare = (rules.drifting, rules.noisy), (rules.many, rules.noisy), (rules.drifting, rules.many)
+    return np.array([[1 - d - rules.outlier - n, d, rules.outlier, n] for d, n in rare])
+
+
+def _log_kinds() -> Float:
+    """(3,) log probabilities of these sessions."""
+    other = RULES.form.session
+    return np.log([1 - 2 * other, other, other])
+
+
+def score_groups(groups: Groups, residual: Float, trace: Float, *, noise_alone: bool) -> tuple[float, Float, Float]:
+    """Log likelihood of all groups, and the weight that a square has in each.
 
     Parameters
     ----------
@@ -226,7 +257,7 @@ def score_groups(groups: Groups, residual: Float, trace: Float, *, noise_alone: 
 
     Returns
     -------
-    (G,) log likelihoods, (G,) mean of 1/(1 + a): −2 times their slope over r², (G,) probabilities that a group is wrong by something else
+    Log likelihood, (G,) mean of 1/(1 + a): −2 times its slope over r², (G,) probabilities that a group is wrong by something else
     """
     return Mixture.of(groups, trace, noise_alone=noise_alone).score(groups.sum_squares(residual))
 
@@ -279,8 +310,8 @@ def find_peak(
     for _ in range(1 if stay else _STEPS):
         at = np.append(step, 1.0)
         squares = np.maximum(products.of_groups @ at @ at, 0.0)
-        scores, weight, odd = mixture.score(squares)
-        value = float(scores.sum() - 0.5 * at @ products.of_priors @ at)
+        score, weight, odd = mixture.score(squares)
+        value = score - 0.5 * float(at @ products.of_priors @ at)
         normal = np.tensordot(weight, products.of_groups, axes=1) + products.of_priors
         covariance = _invert(normal[:-1, :-1])
         if best is None or value > best[0]:

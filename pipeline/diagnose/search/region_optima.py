@@ -191,9 +191,9 @@ class _RegionSearch:
 
     def compute_value(self, u: Float) -> float:
         """Logarithm of likelihood times prior."""
-        scores = score_groups(self.groups, self.compute_left(u), self.trace(u), noise_alone=False)[0]
+        score = score_groups(self.groups, self.compute_left(u), self.trace(u), noise_alone=False)[0]
         beside = self.compute_beside(u)
-        return float(scores.sum() - 0.5 * beside @ beside)
+        return score - 0.5 * float(beside @ beside)
 
     def weigh(self, u: Float) -> tuple[float, Peak]:
         """Log evidence over all widths of the prior at an optimum, and the peak at that of the start."""
