@@ -218,8 +218,12 @@ class FormRules:
     drifting: float = _rule(0.03, "probability that a group drifts as no rest shows", RIGS)
     widest_drift: float = _rule(100.0, "largest variance of such a drift", RIGS, "variances of the noise")
     drift_modes: float = _rule(2.0, "smooth modes of a group of features by which it drifts", RIGS, "modes")
-    session: float = _rule(0.03, "probability of a session that drifts as no rest shows, and of one noisier than its rests", RIGS)
-    many: float = _rule(0.5, "probability that a group drifts, or a test is noisy, in such a session", "as often as not")
+    session: float = _rule(
+        0.03, "probability of a session that drifts as no rest shows, and of one noisier than its rests", RIGS
+    )
+    many: float = _rule(
+        0.5, "probability that a group drifts, or a test is noisy, in such a session", "as often as not"
+    )
     outlier: float = _rule(0.01, "probability that a group is wrong by something else", RIGS)
     widest: float = _rule(1e9, "largest variance of such a group", unit="variances of the noise")
 

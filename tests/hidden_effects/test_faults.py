@@ -18,6 +18,7 @@ from pipeline.diagnose.faults.find import Checked, check_recordings, judge_toget
 from pipeline.diagnose.faults.fitted import assemble_session, fit_session
 from pipeline.diagnose.faults.levels import read_levels
 from pipeline.diagnose.faults.predict import Suspect
+from pipeline.diagnose.faults.session_wide import find_swapped_in_all
 from pipeline.diagnose.features.kinds import AMPLIFIER, RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.simulation.session import make_session as join_features
@@ -466,6 +467,16 @@ def test_channels_swapped_in_all_mechanical_tests_rest_at_the_tension_of_the_oth
     assert fault.cause == "channels_swapped"
     assert set(fault.recordings) == {r.metadata.recording_id for r in session if r.metadata.loading == "mechanical"}
     assert checked.is_barred
+
+
+def test_channels_swapped_in_all_tests_show_where_none_is_under_voltage() -> None:
+    """The force swings by the stated travel and rests at nothing."""
+    edit = EDITS["channels of one sweep swapped"].edit
+    session = [reduce(edit(r)) for r in recordings() if r.metadata.loading == "mechanical"]
+    fault = find_swapped_in_all(session)
+    assert fault is not None
+    assert fault.bars
+    assert find_swapped_in_all([reduce(r) for r in recordings() if r.metadata.loading == "mechanical"]) is None
 
 
 def test_lengths_that_contradict_the_pre_stretch_are_named() -> None:

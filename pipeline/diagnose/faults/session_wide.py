@@ -25,7 +25,7 @@ from pipeline.diagnose.features.kinds import (
     SPHS_RESPONSE,
     RecordingFeatures,
 )
-from pipeline.diagnose.features.observed import AMPLITUDE, STATED
+from pipeline.diagnose.features.observed import AMPLITUDE, FORCE_SWING, SEEN, STATED
 from pipeline.diagnose.mechanisms.actuation import FIELD_DEPENDENT_PERMITTIVITY
 from pipeline.diagnose.mechanisms.rig import RIG_CONSTANTS
 from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
@@ -71,17 +71,16 @@ _TRIED = 5
 
 
 def find_swapped_in_all(recordings: Sequence[RecordingFeatures]) -> Fault | None:
-    """Channels that are swapped in all mechanical tests: what is called displacement rests at the tension that tests under voltage show."""
+    """Channels that are swapped in all mechanical tests: what is called displacement rests at the tension that tests under voltage show, or
+    what is called force rests at nothing and swings by the travel that the metadata state."""
     tests = [r for r in recordings if REST_INPUT in r.values]
-    tension = np.array(
-        [r.values["rest_force_n"] for r in recordings if r.loading == ELECTRICAL and "rest_force_n" in r.values]
-    )
-    spread = RULES.fault.rest_spread
-    if len(tests) < 2 or tension.size < 2 or np.ptp(tension) > spread * abs(np.median(tension)):
+    if len(tests) < 2:
         return None
-    rest = np.median(tension)
-    moved, force = (np.array([r.values[key] for r in tests]) / rest for key in (REST_INPUT, "rest_force_n"))
-    if np.abs(moved - 1).max() > spread or np.abs(force - 1).min() < 2 * spread:
+    if _rests_at_tension(tests, recordings):
+        words = "what is called displacement rests at the tension of the tests under voltage, in all mechanical tests"
+    elif _swings_by_travel(tests):
+        words = "what is called force rests at 0 and swings by as many N as the stated travel has mm, in all mechanical tests"
+    else:
         return None
     names = tuple(r.recording_id for r in tests)
     both = ("force", "displacement"), ("displacement", "force")
@@ -90,8 +89,40 @@ def find_swapped_in_all(recordings: Sequence[RecordingFeatures]) -> Fault | None
         for a, b in both
         for name in names
     )
-    words = "what is called displacement rests at the tension of the tests under voltage, in all mechanical tests"
     return Fault(ids.CHANNELS_SWAPPED, names, RULES.fault.named, words, corrections, sets_aside=False, bars=True)
+
+
+def _rests_at_tension(tests: Sequence[RecordingFeatures], recordings: Sequence[RecordingFeatures]) -> bool:
+    """Whether what is called displacement rests at the tension of the tests under voltage, and what is called force does not."""
+    tension = np.array(
+        [r.values["rest_force_n"] for r in recordings if r.loading == ELECTRICAL and "rest_force_n" in r.values]
+    )
+    spread = RULES.fault.rest_spread
+    if tension.size < 2 or np.ptp(tension) > spread * abs(np.median(tension)):
+        return False
+    rest = np.median(tension)
+    moved, force = (np.array([r.values[key] for r in tests]) / rest for key in (REST_INPUT, "rest_force_n"))
+    return bool(np.abs(moved - 1).max() <= spread and np.abs(force - 1).min() >= 2 * spread)
+
+
+def _swings_by_travel(tests: Sequence[RecordingFeatures]) -> bool:
+    """Whether what is called force rests at nothing and swings by the travel that the metadata state, and what is called displacement does
+    neither."""
+    travel, swing, other = STATED + AMPLITUDE, FORCE_SWING, SEEN + AMPLITUDE
+    stated = [r for r in tests if {travel, swing, other} <= set(r.values)]
+    if len(stated) < 2:
+        return False
+    force, moved = (np.log([r.values[key] / r.values[travel] for r in stated]) for key in (swing, other))
+    at_rest, tension = (
+        np.abs([r.values[key] / r.values[swing] for r in stated]) for key in ("rest_force_n", REST_INPUT)
+    )
+    sd = RULES.fault.strain_sd
+    return bool(
+        np.abs(force).max() < sd
+        and np.abs(moved).max() > RULES.fault.off * sd
+        and at_rest.max() < sd
+        and tension.min() > sd
+    )
 
 
 def find_contradicting_lengths(recordings: Sequence[RecordingFeatures]) -> Fault | None:

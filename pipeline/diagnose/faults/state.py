@@ -20,10 +20,20 @@ def state_faults(diagnosis: Diagnosis, faults: Sequence[Fault]) -> Diagnosis:
     """The diagnosis of the sound recordings with the faults of the others first; as it is where there are none.
 
     A fault is named, or ambiguous where several would put the recordings right alike. What is named beside it is what the sound
-    recordings name; what they leave open stays open, in words.
+    recordings name; what they leave open stays open, in words. Faults that are less probable than not only may be, beside causes that
+    are told.
     """
     if not faults:
         return diagnosis
+    if diagnosis.mechanisms and all(f.probability < 1 / 2 for f in faults):
+        told = {*diagnosis.mechanisms, *diagnosis.also_possible}
+        return replace(
+            diagnosis,
+            verdict=AMBIGUOUS,
+            also_possible=(*diagnosis.also_possible, *dict.fromkeys(f.cause for f in faults if f.cause not in told)),
+            probabilities=_combine(diagnosis, faults),
+            faults=tuple(faults),
+        )
     beside = diagnosis.mechanisms if diagnosis.verdict == NAMED else ()
     causes = tuple(dict.fromkeys((*(f.cause for f in faults), *beside)))
     options = (id for f in faults for id in (*(c.cause for c in f.corrections), *f.alike))

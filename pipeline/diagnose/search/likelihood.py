@@ -17,6 +17,7 @@ Brynjarsdóttir and O'Hagan 2014.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property
@@ -197,7 +198,7 @@ class Mixture:
         ])  # fmt: skip
         counts = 1 + shares.size, slow.size, other.size, louder.size
         ends = np.cumsum([0, *counts])
-        ways = tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        ways = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
         within = np.concatenate([np.full(count, -np.log(max(count, 1))) for count in counts[:-1]])
         each = within[:, None] - 0.5 * noise - 0.5 * modes * np.log1p(variance)
         # What drifts slowly is wrong by fewer modes; the others hold noise.

@@ -97,7 +97,7 @@ class MechanicalFamily(Family, ABC):
             self.add_third(values, physical, effect)
         return values
 
-    def add_third(self, values: Float, physical: Physical | Several, effect: Effect) -> None:  # noqa: B027
+    def add_third(self, values: Float, physical: Physical | Several, effect: Effect) -> None:
         """Adds the third harmonic of forces on the clamp to features (rows,) or (B, rows), where there are harmonics."""
 
     def third(self, physical: Physical | Several, effect: Effect, views: tuple[View, View, View]) -> Complex:

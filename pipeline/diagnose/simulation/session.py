@@ -361,13 +361,9 @@ def _measure_force_rate(recording: RecordingFeatures) -> float:
         n = block.size // 2
         f = block.frequency_hz[:n]
         if block.kind == CHIRP_RESPONSE:
-            travel = np.interp(
-                f,
-                *(
-                    block.support[name][np.argsort(block.support["profile_hz"])]
-                    for name in ("profile_hz", "profile_mm")
-                ),
-            )
+            at, mm = block.support["profile_hz"], block.support["profile_mm"]
+            rising = np.argsort(at)
+            travel = np.interp(f, at[rising], mm[rising])
         elif block.kind == CYCLIC_RESPONSE:
             travel = block.amplitude[:n] * recording.values.get("strain_length_mm", 1.0)
         else:
