@@ -217,7 +217,7 @@ class FormRules:
     noisy: float = _rule(0.03, "probability that a test is as noisy as that", RIGS)
     drifting: float = _rule(0.03, "probability that a group drifts as no rest shows", RIGS)
     widest_drift: float = _rule(100.0, "largest variance of such a drift", RIGS, "variances of the noise")
-    drift_modes: float = _rule(2.0, "smooth modes of a group of features by which it drifts", RIGS, "modes")
+    drift_modes: float = _rule(2.0, "smooth modes by which a force over time drifts", RIGS, "modes")
     session: float = _rule(
         0.03, "probability of a session that drifts as no rest shows, and of one noisier than its rests", RIGS
     )

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.mechanisms.drive import MONITORED
 from pipeline.diagnose.search.discrepancies import list_discrepancies
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit, compose_chosen
-from pipeline.diagnose.simulation.effects import NONE
+from pipeline.diagnose.simulation.effects import NONE, Scale, View
 from pipeline.diagnose.simulation.effects import Film as EffectFilm
 from pipeline.diagnose.simulation.families import state_view
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.diagnose.simulation.sweeps import SweepFamily
 from pipeline.physics.film import RelaxationModel
+from pipeline.physics.rig import Rig
 from tests.helpers.truth_rig import Effect, Session
 from tests.helpers.truth_rig import make_session as true_session
 
@@ -145,15 +147,49 @@ def test_drag_is_that_of_the_speed_which_it_leaves() -> None:
     theta = model.theta(RelaxationModel(film.k0, tuple(film.k), tuple(film.tau), 0.0))
     (family,) = (f for f in simulation._families if isinstance(f, SweepFamily))
     physical, growth, ratio = model.physical(theta), 1.4, 0.05
-    drag = compose_chosen((Chosen("load_cell_damping", "drag"),), ({"damping_ratio": ratio, "growth": growth},))
+    drag = compose_chosen(
+        (Chosen("load_cell_damping", "drag"),), ({"damping_ratio": ratio, "growth": growth, "yielding": 0.0},)
+    )
     plain, dragged = (family.linear(physical, effect) for effect in (NONE, drag))
     rig, view = physical.rigs[family.rig], family.view
     omega, alone = 2 * np.pi * view.frequency_hz, float(1 / np.sqrt(rig.mass * rig.compliance))
     whole = dragged.dynamic + dragged.k * rig.compliance
-    speed = view.strain * omega * np.abs(dragged.k * rig.compliance / whole) / (view.scale.strain * alone)
+    speed = view.strain * view.scale.length_mm * omega * np.abs(dragged.k / whole) / view.scale.force_rate_n_per_s
     expected = omega * ratio * 2 / alone * speed**growth
     assert (dragged.dynamic - plain.dynamic).imag == pytest.approx(expected, rel=1e-5, abs=1e-12)
     assert expected.max() > 0.01
+
+
+def test_drag_makes_the_third_harmonic_that_the_equation_of_motion_gives() -> None:
+    """A clamp on a load cell, pulled by an elastic film and braked by c |v|ᵖ v, step by step in time."""
+    hz, strain, growth, ratio = 20.0, 0.05, 1.0, 0.2
+    rig = Rig(mass=2e-5, stiffness=10.0, damping=5e-4)
+    k = np.array([[0.8 + 0j]])
+    scale = Scale(strain, 0.0, 0.0, 100.0, 30.0, force_rate_n_per_s=150.0)
+    numbers = {f.name: np.zeros((1, 1)) for f in fields(View) if f.name not in ("scale", "test", "k0", "few")}
+    view = View(
+        **numbers | {"frequency_hz": np.array([[hz]]), "strain": np.array([[strain]])}, scale=scale, test="sweep"
+    )
+    effect = compose_chosen(
+        (Chosen("load_cell_damping", "drag"),), ({"damping_ratio": ratio, "growth": growth, "yielding": 0.0},)
+    )
+    (third,) = effect.clamp_third
+    omega, travel = 2 * np.pi * hz, strain * scale.length_mm
+    found = third(rig, view, k, k)
+    # The damper of the reference speed v₀, at which the load cell's force has that rate: c |v/v₀|ᵖ v.
+    reference = scale.force_rate_n_per_s / rig.stiffness
+    c = ratio * float(rig.critical_damping)
+    describing = 8 / (3 * np.pi)  # of v |v|: its fundamental over the square of the amplitude
+
+    def move(t: float, y: np.ndarray) -> list[float]:
+        drag = c / describing * abs(y[1] / reference) ** growth * y[1]
+        pull = k[0, 0].real * (travel * np.cos(omega * t) - y[0])
+        return [y[1], (pull - rig.stiffness * y[0] - rig.damping * y[1] - drag) / rig.mass]
+
+    last = np.linspace(0, 1 / hz, 400, endpoint=False) + 19 / hz
+    solved = solve_ivp(move, (0.0, 20 / hz), [0.0, 0.0], t_eval=last, rtol=1e-9, atol=1e-12, method="LSODA")
+    expected = 2 * np.mean(rig.stiffness * solved.y[0] * np.exp(-3j * omega * last))
+    assert found[0, 0] == pytest.approx(expected, rel=0.1)
 
 
 def test_cycles_of_a_session_are_counted() -> None:

@@ -64,6 +64,9 @@ WEIGHT_GAIN = "weight.gain"
 CALIBRATIONS = frozenset({TAP_RING, WEIGHT_GAIN})
 """Kinds in which there is no film: what contradicts the rig's file there is the rig or the sensor itself."""
 
+DRIFTING = frozenset({CHIRP_LEVEL, CYCLIC_LEVEL, STEP_FORCE, RELAXATION_FORCE, CYCLE_FORCE})
+"""Kinds that a slow drift of the force shows in, smoothly over the record."""
+
 CAPACITANCE = frozenset({SPHS_CAPACITANCE, CYCLIC_CAPACITANCE, STEP_CAPACITANCE})
 """Kinds of the sensing region: they are proportional to what it makes of a tension or a displacement."""
 AMPLIFIER = frozenset({SPHS_VOLTAGE, STEP_VOLTAGE})

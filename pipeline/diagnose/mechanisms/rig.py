@@ -70,14 +70,17 @@ def _damping(values: Values, variant: str) -> Effect:
                 break
         return np.asarray(own + 1j * np.exp(log_drag))
 
-    def third(rig: Rig, view: View, k: Complex) -> Complex:
-        # A force that follows |v|^p v of a sinusoid v has a third harmonic of p/(p + 4) of its fundamental, in phase with v³.
-        own = rig.clamp(2 * np.pi * view.frequency_hz)
-        braked = dragged(own, rig, view, k)
-        share = 1j * k * rig.compliance / rig.loaded(k, braked)
+    def third(rig: Rig, view: View, k: Complex, k_third: Complex) -> Complex:
+        # A force that follows |v|^p v of a sinusoid v has a third harmonic of p/(p + 4) of its fundamental, in phase with v³, and brakes a
+        # small faster motion beside it (p + 2)/2 times as strongly as the sinusoid itself.
+        growth, omega = values["growth"], 2 * np.pi * view.frequency_hz
+        own = rig.clamp(omega)
+        drag = dragged(own, rig, view, k) - own
+        share = 1j * k * rig.compliance / rig.loaded(k, own + drag)
         speed = share / np.maximum(np.abs(share), _NO_DRAG)
-        size = np.abs((braked - own) * share) * rig.stiffness * view.strain * view.scale.length_mm
-        return np.asarray(-size * values["growth"] / (values["growth"] + 4) * speed**3)
+        size = np.abs(drag * share) * rig.stiffness * view.strain * view.scale.length_mm
+        at_third = rig.clamp(3 * omega) + 3 * (growth + 2) / 2 * drag
+        return np.asarray(-size * growth / (growth + 4) * speed**3 * rig.electrical(k_third, at_third))
 
     def second(own: Complex, rig: Rig, view: View, k: Complex) -> Complex:
         # A small mass on the clamp, as heavy as brings that damping when it is tuned to the clamp: μ/(4ζ₂).

@@ -25,7 +25,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from pipeline.diagnose.features.kinds import CALIBRATIONS
+from pipeline.diagnose.features.kinds import CALIBRATIONS, DRIFTING
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit, orthonormalise
 from pipeline.diagnose.simulation.session import Session
@@ -201,8 +201,8 @@ class Mixture:
         ways = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
         within = np.concatenate([np.full(count, -np.log(max(count, 1))) for count in counts[:-1]])
         each = within[:, None] - 0.5 * noise - 0.5 * modes * np.log1p(variance)
-        # What drifts slowly is wrong by fewer modes; the others hold noise.
-        few = np.minimum(n, rules.drift_modes)
+        # Forces over time drift by fewer modes; the others hold noise.
+        few = np.where(groups.are_of(DRIFTING), np.minimum(n, rules.drift_modes), modes)
         drifting = 0.5 * (modes - few) * (np.log1p(variance[ways[_DRIFTS]]) - 1)
         each[ways[_DRIFTS]] += np.where(modes > few, drifting, 0.0)
         # In a calibration there is nothing that nobody has thought of, and no drift.

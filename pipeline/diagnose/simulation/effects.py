@@ -199,7 +199,8 @@ class Effect:
     film : stiffness and the share of the actuation force that reaches the ends
     tension : tension of the film over time, of a sinusoid or along a course
     rig, clamp : constants, and the clamp's dynamic stiffness over kL, given the film's stiffness on it
-    clamp_third : third harmonic of a force on the clamp N, (S, J) phases against the driven end, given the film's stiffness
+    clamp_third : third harmonic that a force on the clamp makes in the load cell, N, (S, J) with phases against the driven end, given
+        the film's stiffness at the frequency and at three times that
     force, displacement, voltage, capacitance : factors of the channels
     reading : force of the load cell over time
     picked_up : force N, (S, W) as the wave, that its channel picks up from the voltage, past film and rig
@@ -218,7 +219,7 @@ class Effect:
     tension: tuple[Callable[[Course], Float], ...] = ()
     rig: tuple[Callable[[Rig], Rig], ...] = ()
     clamp: tuple[Callable[[Complex, Rig, View, Complex], Complex], ...] = ()
-    clamp_third: tuple[Callable[[Rig, View, Complex], Complex], ...] = ()
+    clamp_third: tuple[Callable[[Rig, View, Complex, Complex], Complex], ...] = ()
     force: tuple[Factor, ...] = ()
     displacement: tuple[Factor, ...] = ()
     voltage: tuple[Factor, ...] = ()

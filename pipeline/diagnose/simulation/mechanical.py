@@ -104,11 +104,9 @@ class MechanicalFamily(Family, ABC):
         """Third harmonic of the load cell's force, N, that forces on the clamp make, (S, C) or (B, S, C)."""
         rig = rig_of(physical, self.rig, effect)
         view, _, at_third = views
-        k = film_at(physical, effect, view).k
-        k_third = film_at(physical, effect, at_third).k
-        own = dynamic(rig, at_third, effect, k_third)
-        total = sum(force(rig, view, k) for force in effect.clamp_third)
-        return np.asarray(total * rig.electrical(k_third, own) * channel(effect.force, at_third))
+        k, k_third = (film_at(physical, effect, v).k for v in (view, at_third))
+        total = sum(made(rig, view, k, k_third) for made in effect.clamp_third)
+        return np.asarray(total * channel(effect.force, at_third))
 
     def linear(self, physical: Physical | Several, effect: Effect, view: View | None = None) -> Linear:
         """The response without elements and readings, at the nodes or at the frequencies of another view."""
