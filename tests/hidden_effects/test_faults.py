@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import timedelta
 from functools import lru_cache
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from pipeline.diagnose.diagnosis import diagnose
+from pipeline.diagnose.faults.another_film import doubt_change, weigh_change
 from pipeline.diagnose.faults.change import merge_foreign, shows_in_more_than_one_test
 from pipeline.diagnose.faults.fault import Fault
 from pipeline.diagnose.faults.find import Checked, check_recordings, judge_together
@@ -21,6 +23,11 @@ from pipeline.diagnose.faults.predict import Suspect
 from pipeline.diagnose.faults.session_wide import find_swapped_in_all
 from pipeline.diagnose.features.kinds import AMPLIFIER, RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.search.evidence import Evidence
+from pipeline.diagnose.search.extended_model import Extended
+from pipeline.diagnose.search.patterns import test_patterns as find_patterns
+from pipeline.diagnose.search.posterior import Posterior, weigh_fit
+from pipeline.diagnose.search.screen import compute_secants, compute_signatures
 from pipeline.diagnose.simulation.session import make_session as join_features
 from pipeline.simulate.campaign import packaged_campaigns, read_campaign, simulate_one
 from schemas.recording import Recording
@@ -180,6 +187,28 @@ def test_several_foreign_recordings_before_all_others_are_a_changed_specimen() -
     assert merge_foreign(faults[:1], session) == faults[:1]
     scattered = [faults[0], replace(faults[1], recordings=(mixed[tests[4]].metadata.recording_id,))]
     assert merge_foreign(scattered, session) == scattered
+
+
+def weigh_noise(features: Sequence[RecordingFeatures], worse: float = 0.0) -> Evidence:
+    """What a search finds in which noise is all there is, or `worse` by so much log evidence."""
+    session, simulation, plain = fit_session(features)
+    of = Extended(session, simulation, plain.model, (), np.ones(session.size))
+    fit = of.refine(of.fit(plain.theta))
+    told = weigh_fit(fit, noise_alone=True)
+    posterior = Posterior((replace(told, log_evidence=told.log_evidence - worse),))
+    signatures = compute_signatures(compute_secants(fit), fit)
+    return Evidence(fit, signatures, 1.0, 10.0, find_patterns(fit), plain=fit, posterior=posterior)
+
+
+def test_a_change_is_less_probable_than_a_cause_that_explains_as_much() -> None:
+    """What the search for causes finds with the recordings after the change, and without them, decides."""
+    features = list(sound())
+    as_one = fit_session(features)
+    fault = Fault("specimen_changed", tuple(r.recording_id for r in features[len(features) // 2 :]), 0.99, "changed")
+    change = doubt_change(fault, as_one, as_one[2])
+    together, apart = (weigh_noise(part) for part in (features, features[: len(features) // 2]))
+    assert weigh_change(change, together, apart) < 1 / 2
+    assert weigh_change(change, weigh_noise(features, worse=100.0), apart) > 0.95
 
 
 def test_a_gain_that_changed_midway_reads_the_rest_otherwise_too() -> None:

@@ -8,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.diagnose.mechanisms.actuation import follow_in_steady_state
+from pipeline.diagnose.search.extended_model import Chosen, compose_chosen
+from pipeline.diagnose.simulation.effects import Scale, Wave
 from schemas.arrays import Float
 
 INTERVAL_S = 1e-3
@@ -58,3 +60,14 @@ def test_it_stays_within_the_target_and_shifts_with_it(seed: int, rise_s: float,
 def test_a_target_at_rest_is_its_level() -> None:
     target = np.full((1, 640), 2.5)
     assert follow_in_steady_state(target, INTERVAL_S, 0.2, 3.0) == pytest.approx(target, rel=1e-9)
+
+
+def test_wrinkles_that_stay_lower_the_slope_of_what_acts_and_hold_a_part_of_it() -> None:
+    """A share w of the area is at the onset whatever the voltage does, the rest follows: V² − w (V² − Vc²)."""
+    kv = np.sqrt(make_target(3, 640))
+    wave = Wave(kv, kv**2, INTERVAL_S, Scale(0.0, float(kv.max()), 0.0, 1.0, 10.0))
+    values = {"overload": 0.2, "growth": 0.5, "recovery_s": 1e4, "rise_s": 1e-4, "kept": 1.0}
+    found = compose_chosen((Chosen("wrinkling", "of_area"),), (values,)).squared[0](wave).squared
+    slope, level = np.polyfit((kv**2).ravel(), found.ravel(), 1)
+    assert slope == pytest.approx(0.5, abs=0.01)
+    assert level == pytest.approx(0.5 * (kv.max() / 1.2) ** 2, rel=0.02)

@@ -37,23 +37,24 @@ def try_found_elsewhere(elsewhere: Evidence, here: Evidence) -> Posterior | None
     posterior = here.posterior
     if posterior is None or elsewhere.posterior is None:
         return None
-    tried = settle_hypotheses([weigh_fit(_fit_here(h, here)) for h in _list_likely(elsewhere, here)])
+    tried = settle_hypotheses([weigh_fit(_fit_here(h, here)) for h in _list_likely(elsewhere.posterior)])
     about = next((h for h in posterior.hypotheses if h.name == ANYTHING), None)
     if not tried or about is None:
         return None
     return Posterior.of([*posterior.hypotheses, *allow_form_errors(tried, differentiate_regions(about.model))])
 
 
-def _list_likely(elsewhere: Evidence, here: Evidence) -> Sequence[Hypothesis]:
-    """Those of listed causes that come near the best elsewhere, with the same entries of film and rig."""
-    listed = () if elsewhere.posterior is None else elsewhere.posterior.listed
-    near = [h for h in listed if h.log_joint > listed[0].log_joint - RULES.fit.close_call]
-    return [h for h in near[:_MOST] if h.model.of.model.names == here.plain.of.model.names]
+def _list_likely(posterior: Posterior) -> Sequence[Hypothesis]:
+    """Those of listed causes that come near the best of these."""
+    listed = posterior.listed
+    return [h for h in listed[:_MOST] if h.log_joint > listed[0].log_joint - RULES.fit.close_call]
 
 
 def _fit_here(hypothesis: Hypothesis, here: Evidence) -> ExtendedFit:
-    """The causes of a hypothesis fitted to the recordings of another search, from where they stood."""
-    fit = hypothesis.model
-    of = replace(here.plain.of, chosen=fit.of.chosen)
-    begun = stand_at(replace(fit, of=of), fit.x)
+    """The causes of a hypothesis fitted to the recordings of another search, from where they stood, film and rig too if these have the
+    same entries."""
+    fit, plain = hypothesis.model, here.plain
+    of = replace(plain.of, chosen=fit.of.chosen)
+    theta = fit.theta if fit.of.model.names == plain.of.model.names else plain.theta
+    begun = stand_at(replace(fit, of=of), of.make_entries(theta, fit.values))
     return finish_fit(begun.of.fit(begun.x, most=_STEPS))
