@@ -91,7 +91,7 @@ def canonical(
     for quantity in _FORCES:
         if quantity in channels and rig.load_cell_range_n is not None:
             beside = channels.get("displacement") if quantity in required else None
-            travel = _promised_travel(metadata)
+            travel = metadata.driven_travel_mm
             _check_range(
                 channels[quantity], rig.load_cell_range_n, quantity in required, beside, travel, problems, where
             )
@@ -336,12 +336,6 @@ def _check_changes(channel: Channel, where: str) -> None:
             expected="a channel that changes during the test",
             remedy="Check the sensor and measure again",
         )
-
-
-def _promised_travel(metadata: RecordingMetadata) -> float | None:
-    """Travel of the clamp that strain and length promise, mm; None where the metadata do not say."""
-    length = metadata.stretched_length_mm
-    return None if metadata.strain_pp is None or length is None else metadata.strain_pp * length
 
 
 def _check_range(

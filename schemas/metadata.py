@@ -283,6 +283,12 @@ class RecordingMetadata:
         return self.film_length_mm * self.pre_stretch
 
     @property
+    def driven_travel_mm(self) -> float | None:
+        """Travel of the clamp that `strain_pp` and the length promise in mm, None where the metadata do not say."""
+        length = self.stretched_length_mm
+        return None if self.strain_pp is None or length is None else self.strain_pp * length
+
+    @property
     def lateral_stretch(self) -> float | None:
         """`stretch_2`; where absent the film is uniaxial: 1/√pre_stretch."""
         if self.stretch_2 is not None:

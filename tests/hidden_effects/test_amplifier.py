@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from pipeline.diagnose.diagnosis import diagnose
-from pipeline.diagnose.features.kinds import RecordingFeatures
+from pipeline.diagnose.features.kinds import AMPLIFIER, RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.mechanisms.drive import FURTHER
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.amplifier import find_amplifier_lag
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit
 from pipeline.diagnose.search.fit_mechanisms import temper_fit
+from pipeline.diagnose.search.held_out import predict_left_out
 from pipeline.diagnose.search.plain_fit import fit_plain
 from pipeline.diagnose.search.screen import (
     Signatures,
@@ -119,6 +120,23 @@ def test_a_lag_that_the_monitor_shows_in_part_is_one_cause() -> None:
 
 
 LAG = Effect("drive_lag", 2e-3, {"fall_ratio": 1.8, "slew_kv_per_s": 2700.0})
+
+
+@pytest.mark.slow
+def test_what_causes_beside_a_lag_gain_is_not_the_lags() -> None:
+    """Alone it is measured by what the amplifier makes of its command; beside it a cause that does nothing gains nothing."""
+    base, signatures = _screen(("drive_lag",))
+    lag = find_amplifier_lag(base, signatures)
+    assert lag is not None
+    alone = predict_left_out(base, lag)
+    assert alone is not None
+    assert {p.kind for p in alone.predicted} <= AMPLIFIER
+    assert alone.gain > 0.9
+    of = replace(lag.of, chosen=(*lag.of.chosen, Chosen("amplitude_softening", "running")))
+    beside = predict_left_out(base, of.fit(of.make_entries(lag.theta, (*lag.values, {"drop": 1e-3})), most=10))
+    if beside is not None:
+        assert not {p.kind for p in beside.predicted} & AMPLIFIER
+        assert not beside.gain > 0.5
 
 
 def _state_lag(recordings: Sequence[Recording], factor: float) -> list[RecordingFeatures]:

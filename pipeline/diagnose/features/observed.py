@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from pipeline.diagnose.features.records import split_runs, strain_length_mm
+from pipeline.diagnose.features.records import split_runs
 from pipeline.transform.channels import drive
 from pipeline.transform.quality import flat_tops
 from schemas.arrays import Bool, Float, Int
@@ -109,8 +109,7 @@ def observe_channels(recording: Recording) -> dict[str, float]:
         return values | find_unmoved(values, VOLTAGE, given, source.input.quantity)
     if clipped[0].size:
         values[FLAT_INPUT], values[FLAT] = (float(flat.mean()) for flat in clipped)
-    travel = None if metadata.strain_pp is None else metadata.strain_pp * strain_length_mm(recording)
-    values |= _pair(AMPLITUDE, travel, float(np.nanmax(given) - np.nanmin(given)))
+    values |= _pair(AMPLITUDE, metadata.driven_travel_mm, float(np.nanmax(given) - np.nanmin(given)))
     return values | find_unmoved(values, AMPLITUDE, given, source.input.quantity)
 
 

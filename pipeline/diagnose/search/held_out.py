@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.diagnose.features.kinds import AMPLIFIER
 from pipeline.diagnose.results import HeldOut, Predicted
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
@@ -79,7 +80,8 @@ def predict_left_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | Non
     Its interval is a bootstrap over blocks.
     """
     session = extended.of.session
-    asked = _Asked(session, extended.solution.jacobian, extended.trace / max(float(extended.trace.sum()), 1e-300))
+    trace = _measure_told(extended)
+    asked = _Asked(session, extended.solution.jacobian, trace / max(float(trace.sum()), 1e-300))
     parts = _choose_parts(asked)
     if len(parts) < 2:
         return None
@@ -108,6 +110,15 @@ def predict_left_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | Non
             _record_prediction(session, session.places[left.block], values[0], values[1]) for left in found[part.name]
         ]
     return _pool_parts(found, predicted, entries)
+
+
+def _measure_told(extended: ExtendedFit) -> Float:
+    """(B,) what shows of the causes in each block: beside the lag of the amplifier, of what film and rig make of the voltage that was
+    measured. What the amplifier makes of its command shows the lag, and nearly all of that its simulation removes."""
+    if extended.of.leaves_film:
+        return extended.trace
+    of_film = [p.block.kind not in AMPLIFIER for p in extended.of.session.places]
+    return np.where(of_film, extended.trace, 0.0)
 
 
 def predict_by_function(region: RegionFit) -> HeldOut | None:
