@@ -24,7 +24,7 @@ SOUND, MECHANISM = "", "mechanism"
 """What is no fault: the recording is as it should be; the film or the rig does there what the plain model does not."""
 ANOTHER_FILM = "its film is not that of the others"
 """What is said of a foreign recording."""
-ANOTHER_RIG = "a rig of another clamp and load cell explains it, with the film of the others"
+ANOTHER_RIG = "another clamp and load cell are at work than the metadata name, with the film of the others"
 """What is said of a recording that was made on another rig than its metadata name."""
 _POUND_FORCE, _EFFECTIVE = 4.4482216, 2.0**0.5
 """N of a pound-force; amplitude over effective value of a sinusoid."""
