@@ -8,6 +8,7 @@ outside of that folder. Does not belong here: physics.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import secrets
 import shutil
@@ -117,10 +118,13 @@ def write_campaign(
         _require_earlier(out, campaign, [*earlier, *files_of_rigs])
     else:
         _clear(out)
-    (out / MARKER).write_text("\n".join(sorted({*earlier, *names})) + "\n", encoding="utf-8")
+    known = _list_ours(out)
+    _mark(out, {*earlier, *names}, known)
     (out / "rigs").mkdir(exist_ok=True)
     for name, rig in campaign.rigs.items():
-        (out / "rigs" / f"{name}.toml").write_text(rig_file(rig.stated), encoding="utf-8")
+        path = out / "rigs" / f"{name}.toml"
+        if not (earlier and path.is_file()):  # later nights find the file of the first, as somebody may have corrected it
+            path.write_text(rig_file(rig.stated), encoding="utf-8")
     truths: list[Mapping[str, Any]] = [tell_truth(campaign, planned) for planned in before]
     for simulated in simulate(campaign, chosen):
         _write(simulated, out, mishaps.get(simulated.recording_id, []))
@@ -131,6 +135,7 @@ def write_campaign(
         content = {"campaign": campaign.name, "seed": campaign.seed, "recordings": truths}
         truth.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     files = tuple(out / name for name in sorted(names))
+    _mark(out, {*earlier, *names}, known)
     return Written(files, sum(path.stat().st_size for path in files))
 
 
@@ -146,15 +151,38 @@ def choose_night(campaign: Campaign, night: int | None) -> list[Planned]:
     return [planned for planned in campaign.planned if planned.night == night]
 
 
-def _list_ours(out: Path) -> set[str]:
-    """Names of the files that earlier simulations wrote into a folder, the list of them among these; empty where there is none."""
+def _list_ours(out: Path) -> dict[str, str]:
+    """Names of the files that earlier simulations wrote into a folder, the list of them among these, with the digests of those that people
+    edit; an empty digest where none is known. Empty where there is no list."""
     marker = out / MARKER
-    return {*marker.read_text(encoding="utf-8").splitlines(), MARKER} if marker.is_file() else set()
+    if not marker.is_file():
+        return {}
+    lines = (line.partition("\t") for line in marker.read_text(encoding="utf-8").splitlines())
+    return {name: digest for name, _, digest in lines} | {MARKER: ""}
+
+
+def _mark(out: Path, names: Iterable[str], known: Mapping[str, str]) -> None:
+    """Lists what simulations wrote into a folder. Digests stay those that are known: what was edited since is no simulation's."""
+    lines = []
+    for name in sorted(names):
+        path = out / name
+        digest = known.get(name, "") or (_digest(path) if _is_for_people(name) and path.is_file() else "")
+        lines.append(f"{name}\t{digest}" if digest else name)
+    (out / MARKER).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _is_for_people(name: str) -> bool:
+    """Whether people edit a file: constants of a rig, a mapping."""
+    return name.endswith(".toml")
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _require_earlier(out: Path, campaign: Campaign, names: list[str]) -> None:
     """What was recorded before has to be there. Raises `UsageError`."""
-    if not _list_ours(out).issuperset(names):
+    if not _list_ours(out).keys() >= set(names):
         raise UsageError(
             f"{out} does not hold the nights of campaign {campaign.name} before this one",
             expected="a folder to which they were simulated",
@@ -191,6 +219,12 @@ def _clear(out: Path) -> None:
                 f"{out} holds {name}, which no simulation wrote",
                 expected="a new folder, or one of an earlier simulation",
                 remedy="Give another folder with --out",
+            )
+        if ours.get(name) and ours[name] != _digest(path):
+            raise UsageError(
+                f"{path} was edited after a simulation wrote it",
+                expected="files as they were written",
+                remedy="Move it away to have it written anew, or give another folder with --out",
             )
     for path in present:
         path.unlink()

@@ -319,6 +319,24 @@ def test_a_simulation_replaces_an_earlier_one_and_nothing_else(tmp_path: Path) -
     assert not (tmp_path / "new").exists()
 
 
+def test_a_file_that_somebody_edited_is_never_written_over(tmp_path: Path) -> None:
+    """Constants that a page asked for were corrected, and a second run of the demonstration lost them."""
+    campaign, out = read_campaign(edited("recordings/1/night", 2)), tmp_path / "raw"
+    write_campaign(campaign, out, night=1)
+    rig = next((out / "rigs").glob("*.toml"))
+    corrected = rig.read_text().replace("clamp_mass_kg", "# corrected\nclamp_mass_kg", 1)
+    rig.write_text(corrected)
+    write_campaign(campaign, out, night=2)
+    assert rig.read_text() == corrected
+    before = digests(out)
+    with pytest.raises(UsageError, match=f"{rig.name} was edited after"):
+        write_campaign(campaign, out, night=1)
+    assert digests(out) == before, "nothing is removed"
+    rig.unlink()
+    write_campaign(campaign, out, night=1)
+    assert "# corrected" not in rig.read_text()
+
+
 def test_nights_are_written_one_beside_the_other(tmp_path: Path) -> None:
     table = edited("recordings/1/night", 2)
     campaign = read_campaign(table)
