@@ -29,7 +29,7 @@ FROM specifications
 WHERE specimen_id IN (SELECT specimen_id FROM recordings WHERE campaign = $campaign)
 ORDER BY specimen_id, quantity"""
 _ASKED = (
-    "Asked for: suppressing the postural tremor of a hand, 0.4 N and 1 mm at up to 10 Hz (thesis, section 1.3). Layers lie side by"
+    "For tremor: suppressing the postural tremor of a hand, 0.4 N and 1 mm at up to 10 Hz (thesis, section 1.3). Layers lie side by"
     " side and add their forces, strips lie behind each other and add their strokes. A film gives force and stroke at once only in"
     " part: the numbers count half of each, where it gives most work, from the lower limit."
 )
@@ -57,7 +57,7 @@ def of_specimen(draft: Draft) -> Section | None:
         for r in found
     )
     heads = (
-        Head("Quantity"), Head("Value (95 %)", "n"), Head("90 %", "n"), Head("Asked for", "n"), Head("Meets it"), Head("Would do"), Head("How it is meant", "text"),
+        Head("Quantity"), Head("Value (95 %)", "n"), Head("90 %", "n"), Head("For tremor", "n"), Head("Meets it"), Head("Would do"), Head("How it is meant", "text"),
     )  # fmt: skip
     table = Table("Specification sheet", heads, rows, query.shown(), below=_ASKED + _OTHER, kind="wide")
     figure = _figure(draft)

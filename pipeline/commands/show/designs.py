@@ -357,7 +357,7 @@ def _specify(source: _Source, asked: DesignAsked, form: str) -> tuple[str, str]:
             "voltage_kv": voltage, "sheet": [asdict(r) for r in sheet], "force_stroke": [asdict(p) for p in lines],
             "films_for_tremor": films, "assumptions": assumed,
         }), ""  # fmt: skip
-    heads = ("", "value", "90 %", "95 %", "asked for", "meets it")
+    heads = ("", "value", "90 %", "95 %", "for tremor", "meets it")
     rows = [
         (
             f"{r.quantity}{', ' + r.unit if r.unit else ', %'}", _show(r, r.value), _range(r, "_90"), _range(r, ""),
