@@ -130,8 +130,8 @@ def answer_session(asked: Asked, folder: Path = FOLDER) -> Answer:
     begin = time.process_time()
     try:
         found = diagnose(features)
-    except DealabError as error:
-        return Answer(asked.rig, asked.seed, asked.kind, truth, failed=str(error), refused=tuple(refused))
+    except Exception as error:  # what ends a diagnosis is its answer, and no end of a study
+        return Answer(asked.rig, asked.seed, asked.kind, truth, failed=repr(error), refused=tuple(refused))
     answer = _tell(asked, truth, found, len(features), time.process_time() - begin, tuple(refused))
     return replace(answer, contradictions=tuple(find_contradictions(diagnosis_tables(found, features), alone=False)))
 

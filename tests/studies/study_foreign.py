@@ -403,6 +403,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--minutes", type=float, default=float("inf"))
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--log", type=Path, default=HERE / "foreign.jsonl")
+    parser.add_argument("--resume", action="store_true", help="go on with a study of that seed which was stopped")
     parser.add_argument("--again", action="store_true", help="report what is kept, ask nothing")
     parser.add_argument("--of", type=int, nargs="*", help="with --again: of the studies with these seeds only")
     given = parser.parse_args(arguments)
@@ -414,7 +415,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     seed = int(np.random.default_rng().integers(SEEDS)) if given.seed is None else given.seed
     asked = draw_sessions(seed, given.rigs or find_rigs(given.folder), given.kinds, given.sessions)
-    found = [leave_out_lag(a) for a in answer_all(asked, given.folder, given.jobs, given.minutes, given.log, seed)]
+    known = [a for a in read_answers(given.log) if a.study == seed] if given.resume else []
+    done = {(a.rig, a.seed) for a in known}
+    left = [a for a in asked if (a.rig, a.seed) not in done]
+    answers = [*known, *answer_all(left, given.folder, given.jobs, given.minutes, given.log, seed)]
+    found = [leave_out_lag(a) for a in answers]
     print(f"{len(found)} of {len(asked)} sessions, seed {seed}.\n")
     print("\n".join(report(found)))
     return 0

@@ -426,7 +426,8 @@ def _bend_tension(session: Session, shape: Callable[[Float, Float], Float]) -> E
 
     def tension(course: Course) -> Float:
         x = course.strain / largest
-        rate = np.gradient(x, axis=-1) / np.broadcast_to(course.interval_s, x.shape)
+        # A step whose film is asked at one time alone has no rate.
+        rate = np.gradient(x, axis=-1) / np.broadcast_to(course.interval_s, x.shape) if x.shape[-1] > 1 else 0.0 * x
         return np.asarray(course.tension + STEP * course.static * length * largest * shape(x, rate))
 
     return Effect(tension=(tension,))
