@@ -24,6 +24,7 @@ from pipeline.diagnose.simulation.simulation import Simulation
 from schemas.recording import Recording
 from tests.helpers.truth_rig import Effect
 from tests.helpers.truth_rig import make_session as true_session
+from tests.physics.courses import of_a_spring
 
 SESSIONS = (301, 302)
 """Seeds of sessions with nothing hidden."""
@@ -178,6 +179,16 @@ def test_every_region_has_a_name_of_its_own_and_as_many_widths_as_shapes() -> No
     for r in regions:
         assert len(r.effects) == r.width.size == r.shapes.shape[1]
         assert r.shapes.shape[0] == r.at.size
+
+
+def test_a_film_that_is_asked_at_one_time_alone_has_no_rate() -> None:
+    """A plateau with one window: the diagnosis of a session of another rig ended there with a traceback."""
+    session = make_session([reduce(r) for r in true_session(301, DESIGNS, ()).recordings])
+    once = of_a_spring(np.full((3, 1), 0.01), length_mm=30.0, largest=session.scale.strain, periodic=False)
+    for region in list_regions(session):
+        for effect in region.effects:
+            for bent in effect.tension:
+                assert np.isfinite(bent(once)).all()
 
 
 @pytest.mark.long
