@@ -92,7 +92,7 @@ def test_where_many_groups_drift_another_is_no_surprise() -> None:
     """A session drifts as no rest shows or it does not: the tenth group that drifts says less than the first one."""
     count, size = 10, 20
     number = np.repeat(np.arange(count), size)
-    groups = Groups(number, np.bincount(number))
+    groups = Groups(number, np.bincount(number), kind=("step.force",) * count)
 
     def score(drifting: int) -> float:
         squares = np.where(np.arange(count) < drifting, size + 60.0, size)

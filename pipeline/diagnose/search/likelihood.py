@@ -173,7 +173,7 @@ class Mixture:
     log_prior : (A, G) of each variance within its way, with what does not depend on the residual
     precision : (A, G) of the squares beyond the noise, of the `ways[-1]` rows of all squares
     ways : rows of each way
-    believed : (K, ways) probabilities of the ways in each kind of session
+    believed : (K, ways, G) probabilities of the ways in each kind of session
     """
 
     groups: Groups
@@ -209,7 +209,7 @@ class Mixture:
         each[counts[0] :, groups.are_of(CALIBRATIONS)] = np.log(_NEVER)
         noisy = -np.log(louder.size) - 0.5 * n * np.log(louder)
         precision = np.concatenate([1 / (1 + variance), np.broadcast_to(1 / louder, noisy.shape)])
-        return cls(groups, np.concatenate([each, noisy]), precision, ways, _believe_ways())
+        return cls(groups, np.concatenate([each, noisy]), precision, ways, _believe_ways(groups))
 
     def score(self, squares: Float) -> tuple[float, Float, Float]:
         """What `score_groups` returns, of sums of squares (G,)."""
@@ -221,23 +221,26 @@ class Mixture:
         of_way = np.array([share[rows].sum(axis=0) for rows in self.ways])
         weighed = np.array([np.sum(share[rows] * self.precision[rows], axis=0) for rows in self.ways])
         # One kind of session for all groups: where many drift, another that does is no surprise.
-        total = self.believed @ of_way
+        total = np.sum(self.believed * of_way, axis=1)
         of_kind = _log_kinds() + np.log(total).sum(axis=1)
         log = float(logsumexp(of_kind))
         kind = np.exp(of_kind - log)[:, None]
-        odd = self.believed[:, _ODD : _ODD + 1] * of_way[_ODD]
+        odd = self.believed[:, _ODD] * of_way[_ODD]
         return (
             log + float(highest.sum()),
-            np.sum(kind * (self.believed @ weighed) / total, axis=0),
+            np.sum(kind * np.sum(self.believed * weighed, axis=1) / total, axis=0),
             np.sum(kind * odd / total, axis=0),
         )
 
 
-def _believe_ways() -> Float:
-    """(3, 4) probabilities of the ways in which a group may be missed, in a session of usual noise, one that drifts, and a noisy one."""
+def _believe_ways(groups: Groups) -> Float:
+    """(3, 4, G) probabilities of the ways in which a group may be missed, in a session of usual noise, one whose forces over time drift, and a
+    noisy one."""
     rules = RULES.form
-    rare = (rules.drifting, rules.noisy), (rules.many, rules.noisy), (rules.drifting, rules.many)
-    return np.array([[1 - d - rules.outlier - n, d, rules.outlier, n] for d, n in rare])
+    drifts = np.where(groups.are_of(DRIFTING), rules.many, rules.drifting)
+    rare = (rules.drifting, rules.noisy), (drifts, rules.noisy), (rules.drifting, rules.many)
+    ones = np.ones(groups.size.size)
+    return np.array([[(1 - d - rules.outlier - n) * ones, d * ones, rules.outlier * ones, n * ones] for d, n in rare])
 
 
 def _log_kinds() -> Float:
