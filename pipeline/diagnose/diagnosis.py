@@ -163,10 +163,11 @@ def _ask_unchanged(change: Change, checked: Checked, evidence: Evidence) -> tupl
     as_one = _drop_filed_lag(Checked(*change.as_one, others))
     unchanged, evidence = _tell_each_other(_ask(as_one), evidence)
     probability = weigh_change(change, unchanged, evidence)
-    faults = replace_doubt(checked.faults, change.fault, change.fault.probability * probability)
-    if probability > 1 / 2:
-        return replace(checked, faults=faults), evidence
-    return replace(as_one, faults=tuple(f for f in faults if f.cause != change.fault.cause)), unchanged
+    believed = probability > 1 / 2
+    told = replace(change.fault, sets_aside=believed)
+    faults = tuple(told if f is change.fault else f for f in checked.faults)
+    faults = replace_doubt(faults, told, change.fault.probability * probability)
+    return (replace(checked, faults=faults), evidence) if believed else (replace(as_one, faults=faults), unchanged)
 
 
 def _tell_each_other(first: Evidence, second: Evidence) -> tuple[Evidence, Evidence]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
 from dataclasses import replace
 from datetime import timedelta
 from functools import lru_cache
@@ -24,14 +23,12 @@ from pipeline.diagnose.faults.session_wide import find_swapped_in_all
 from pipeline.diagnose.features.kinds import AMPLIFIER, RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.search.evidence import Evidence
-from pipeline.diagnose.search.extended_model import Extended
-from pipeline.diagnose.search.patterns import test_patterns as find_patterns
-from pipeline.diagnose.search.posterior import Posterior, weigh_fit
-from pipeline.diagnose.search.screen import compute_secants, compute_signatures
+from pipeline.diagnose.search.posterior import Posterior
 from pipeline.diagnose.simulation.session import make_session as join_features
 from pipeline.simulate.campaign import packaged_campaigns, read_campaign, simulate_one
 from schemas.recording import Recording
 from tests.helpers.everyday_faults import EDITS, change_channel, change_metadata, change_rig, mix_in
+from tests.helpers.plain_evidence import find_plain
 from tests.helpers.truth_rig import KINDS, compact_designs, compact_session, make_session
 
 SEED, ANOTHER_SEED = 990_000_001, 990_000_002
@@ -189,15 +186,11 @@ def test_several_foreign_recordings_before_all_others_are_a_changed_specimen() -
     assert merge_foreign(scattered, session) == scattered
 
 
-def weigh_noise(features: Sequence[RecordingFeatures], worse: float = 0.0) -> Evidence:
-    """What a search finds in which noise is all there is, or `worse` by so much log evidence."""
-    session, simulation, plain = fit_session(features)
-    of = Extended(session, simulation, plain.model, (), np.ones(session.size))
-    fit = of.refine(of.fit(plain.theta))
-    told = weigh_fit(fit, noise_alone=True)
-    posterior = Posterior((replace(told, log_evidence=told.log_evidence - worse),))
-    signatures = compute_signatures(compute_secants(fit), fit)
-    return Evidence(fit, signatures, 1.0, 10.0, find_patterns(fit), plain=fit, posterior=posterior)
+def make_worse(found: Evidence, by: float) -> Evidence:
+    """A search whose hypotheses are all less probable by that log evidence."""
+    assert found.posterior is not None
+    worse = [replace(h, log_evidence=h.log_evidence - by) for h in found.posterior.hypotheses]
+    return replace(found, posterior=Posterior(tuple(worse)))
 
 
 def test_a_change_is_less_probable_than_a_cause_that_explains_as_much() -> None:
@@ -206,9 +199,11 @@ def test_a_change_is_less_probable_than_a_cause_that_explains_as_much() -> None:
     as_one = fit_session(features)
     fault = Fault("specimen_changed", tuple(r.recording_id for r in features[len(features) // 2 :]), 0.99, "changed")
     change = doubt_change(fault, as_one, as_one[2])
-    together, apart = (weigh_noise(part) for part in (features, features[: len(features) // 2]))
+    together, apart = (find_plain(part) for part in (features, features[: len(features) // 2]))
     assert weigh_change(change, together, apart) < 1 / 2
-    assert weigh_change(change, weigh_noise(features, worse=100.0), apart) > 0.95
+    assert weigh_change(change, make_worse(together, 100.0), apart) > 0.95
+    unknown = replace(change, doubt=replace(change.doubt, recordings=()))
+    assert weigh_change(unknown, together, apart) == 1.0, "what cannot be asked by itself speaks against nothing"
 
 
 def test_a_gain_that_changed_midway_reads_the_rest_otherwise_too() -> None:

@@ -75,8 +75,7 @@ def doubt_change(fault: Fault, as_one: Fitted, fit: PlainFit) -> Change:
     """
     session = as_one[0]
     numbers = [n for n, r in enumerate(session.recordings) if r.recording_id in fault.recordings]
-    rig = int(np.bincount(session.rig[numbers]).argmax())
-    suspect = Suspect.of(session, numbers, fit, min(rig, len(fit.model.physical(fit.theta).rigs) - 1))
+    suspect = Suspect.of(session, numbers, fit, int(np.bincount(session.rig[numbers]).argmax()))
     return Change(fault, as_one, Doubt(fault.recordings, weigh_another_film(suspect)))
 
 
@@ -108,29 +107,33 @@ def weigh_doubts(doubts: Sequence[Doubt], session: Session, evidence: Evidence, 
     session : with these recordings among the others
     evidence, without : what the search found in it, and in the session without them
     """
-    probability = weigh_other_films(doubts, session, evidence, without)
-    if probability < 1 - RULES.fault.named:
+    probability = _weigh_other_films(doubts, session, evidence, without)
+    if probability is None or probability < 1 - RULES.fault.named:
         return ()
     alike = () if evidence.best is None else evidence.best.causes
     return tuple(_state(own, probability, alike) for d in doubts for own in _list_recordings(d, session))
 
 
 def weigh_change(change: Change, evidence: Evidence, without: Evidence) -> float:
-    """Probability that recordings have the fault of a change, and no mechanism does in them what it does.
+    """Probability that recordings have the fault of a change, and no mechanism does in them what it does; 1 where they cannot be asked by
+    themselves, so that nothing speaks against it.
 
     Parameters
     ----------
     evidence, without : what the search found with these recordings among the others, and without them
     """
-    return weigh_other_films([change.doubt], change.as_one[0], evidence, without)
+    probability = _weigh_other_films([change.doubt], change.as_one[0], evidence, without)
+    return 1.0 if probability is None else probability
 
 
-def weigh_other_films(doubts: Sequence[Doubt], session: Session, evidence: Evidence, without: Evidence) -> float:
-    """Probability that the recordings of each doubt are of another film; 0 where they cannot be asked by themselves."""
+def _weigh_other_films(
+    doubts: Sequence[Doubt], session: Session, evidence: Evidence, without: Evidence
+) -> float | None:
+    """Probability that the recordings of each doubt are of another film; None where they cannot be asked by themselves."""
     try:
         alone = sum(_weigh_alone(_list_recordings(d, session)) for d in doubts)
     except NotIdentifiableError:
-        return 0.0
+        return None
     return float(expit(without.log_evidence + alone + sum(d.log_prior for d in doubts) - evidence.log_evidence))
 
 
