@@ -123,9 +123,8 @@ def write_campaign(
     (out / "rigs").mkdir(exist_ok=True)
     for name, rig in campaign.rigs.items():
         path = out / "rigs" / f"{name}.toml"
-        if not (
-            earlier and path.is_file()
-        ):  # later nights find the file of the first, as somebody may have corrected it
+        # Later nights find the file of the first, as somebody may have corrected it.
+        if not (earlier and path.is_file()):
             path.write_text(rig_file(rig.stated), encoding="utf-8")
     truths: list[Mapping[str, Any]] = [tell_truth(campaign, planned) for planned in before]
     for simulated in simulate(campaign, chosen):

@@ -239,7 +239,7 @@ def _judge_each(
     whole = assemble_session(recordings) if suspects else session
     asked = suspects | outside
     told: dict[tuple[int, ...], Fault] = {}
-    doubts: dict[str, Doubt] = {}
+    doubts: dict[tuple[str, ...], Doubt] = {}
 
     def judge(numbers: Sequence[int], judged: Callable[[Suspect], Fault | None]) -> None:
         """Judges recordings and keeps their fault."""
@@ -250,7 +250,7 @@ def _judge_each(
         elif len(numbers) == 1:
             doubt = doubt_film(suspect)
             if doubt is not None:
-                doubts[suspect.session.recordings[suspect.number].recording_id] = doubt
+                doubts[doubt.recordings] = doubt
 
     for numbers in _list_alike(whole, asked):
         judge(numbers, partial(judge_together, numbers=numbers, levels=levels))

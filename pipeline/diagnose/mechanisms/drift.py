@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.diagnose.features import kinds
-from pipeline.diagnose.mechanisms.mechanism import RAMPS, SHAPE, Mechanism, Parameter, Values
+from pipeline.diagnose.mechanisms.mechanism import SHAPE, Mechanism, Parameter, Values
 from pipeline.diagnose.simulation.effects import Effect
 from schemas.arrays import Float
 
@@ -30,7 +30,7 @@ BASELINE_DRIFT = Mechanism(
         Parameter("per_decade", "1", "fall per decade of time over the rest force", 0.01, 0.1, signed=True, least=-1.0),
         Parameter("onset_s", "s", "t0", 0.3, 30.0, SHAPE, least=1e-3),
     ),
-    shows=RAMPS | {kinds.CHIRP_LEVEL, kinds.CYCLIC_LEVEL, kinds.STEP_FORCE},
+    shows=kinds.DRIFTING,
     confusable={
         "thermal_softening": "temperature, and it is reversible",
         "electrode_degradation": "there the capacitance falls as well",

@@ -158,7 +158,7 @@ class SweepFamily(MechanicalFamily):
             if p.block.kind != CHIRP_HARMONIC:
                 continue
             seen = self._seen[id(p)]
-            own = third[..., min(self.state_of[id(p)], third.shape[-2] - 1), :]
+            own = third[..., self.state_of[id(p)], :]
             both = np.where(seen.order == 3, own @ seen.harmonic.T, 0.0)
             values[..., self.spans[id(p)]] += np.concatenate([both.real, both.imag], axis=-1)
 
