@@ -1,5 +1,5 @@
 # make demo    sets up, simulates a measuring campaign, runs two nights over it, says what to try next
-# make thesis  the same with the tests of a doctoral thesis: four times as many recordings, one night
+# make thesis  the same with the tests of a doctoral thesis: three times as many recordings, one night
 # make test    sets up and runs the tests: what continuous integration runs
 # make long    the tests that take longest: further sessions in which an effect is hidden, further cases of what make test asks
 #              once, whole nights, and what is judged over many draws
@@ -44,25 +44,25 @@ HASHED = $(if $(filter $(VERSION),$(SUPPORTED)),--require-hashes -r requirements
 .PHONY: demo thesis test long quick bench study fuzz faults docs site lint release-check audit pins clean
 .DEFAULT_GOAL := demo
 
-# Exit status 3 is meant: a recording is damaged, as in real campaigns, and one that nothing describes is not read.
+# Exit status 3 is meant: as in real campaigns a recording is damaged, one is refused, and one that nothing describes is not read.
 demo: $(RUNTIME)
 	$(BIN)/dealab simulate demo --night 1 --out $(DEMO)/raw --truth $(DEMO)/truth.json
 	@$(BIN)/dealab nightly $(DEMO)/raw --lab $(DEMO)/lab || [ $$? -eq 3 ]
 	@echo
-	@echo "The first night asks for a recording:"
+	@echo "The first night asks for recordings:"
 	@$(BIN)/dealab sql --lab $(DEMO)/lab "SELECT specimen_id, next_recording FROM diagnoses WHERE next_recording IS NOT NULL"
 	@echo
-	@echo "It is made, and the second night decides:"
+	@echo "The taps for PA-1 are made, and the second night decides; nobody makes those for PA-3, which stays open:"
 	$(BIN)/dealab simulate demo --night 2 --out $(DEMO)/raw --truth $(DEMO)/truth.json
 	@$(BIN)/dealab nightly $(DEMO)/raw --lab $(DEMO)/lab || [ $$? -eq 3 ]
 	@echo
-	@$(BIN)/dealab sql --lab $(DEMO)/lab "SELECT specimen_id, verdict, mechanism FROM diagnoses ORDER BY specimen_id"
+	@$(BIN)/dealab sql --lab $(DEMO)/lab "SELECT specimen_id, verdict, mechanisms FROM diagnoses ORDER BY specimen_id"
 	@echo
 	@echo "Report:    $(DEMO)/lab/reports/index.html"
 	@echo "Database:  $(DEMO)/lab/results.duckdb"
 	@echo
 	@echo "Try:"
-	@echo "  $(BIN)/dealab diagnose PA-1 --lab $(DEMO)/lab"
+	@echo "  $(BIN)/dealab diagnose PA-3 --lab $(DEMO)/lab"
 	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab 'SELECT specimen_id, model_order FROM best_models'"
 	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab 'SELECT * FROM survival_at(60)'"
 	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab 'SELECT what, name, status, problem FROM needs_attention'"

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.simulate.bench import Bench, Signals, Slip, Softening, Stage
-from pipeline.simulate.sensors import delayed
+from pipeline.simulate.sensors import delayed, low_pass
 from pipeline.simulate.tables import choice, flag, number, parse
 
 CHANNELS = ("force", "displacement", "voltage", "capacitance")
@@ -199,6 +199,49 @@ def _wrinkling(bench: Bench, values: Wrinkling, rng: np.random.Generator) -> Ben
 
 
 @dataclass(frozen=True, kw_only=True)
+class Leakage:
+    """The film conducts, and the voltage sags by `droop` of it at `at_kv`, by the square of the voltage elsewhere.
+
+    The current builds up with the time constant `build_up_s`. The monitor shows the sag.
+    """
+
+    droop: float = number(above=0, at_most=1)
+    at_kv: float = number(above=0)
+    build_up_s: float = number(1.0, above=0)
+
+
+def _leakage(bench: Bench, values: Leakage, rng: np.random.Generator) -> Bench:
+    def sag(signals: Signals) -> Signals:
+        if "film_voltage" not in signals:
+            return signals
+        corner_hz = 1 / (2 * np.pi * values.build_up_s)
+        load = low_pass((signals["film_voltage"] / values.at_kv) ** 2, corner_hz, signals.interval_s)
+        left = np.maximum(1 - values.droop * load, 0.0)
+        return signals.with_values(film_voltage=signals["film_voltage"] * left, voltage=signals["voltage"] * left)
+
+    return bench.with_stage("drive", sag)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crosstalk:
+    """The force channel picks up the rate of the voltage, by `n_s_per_kv`, behind a single pole at `corner_hz`."""
+
+    n_s_per_kv: float = number()
+    corner_hz: float = number(160.0, above=0)
+
+
+def _crosstalk(bench: Bench, values: Crosstalk, rng: np.random.Generator) -> Bench:
+    def leak(signals: Signals) -> Signals:
+        if "film_voltage" not in signals:
+            return signals
+        rate = np.gradient(signals["film_voltage"], signals.interval_s)
+        picked_up = values.n_s_per_kv * low_pass(rate, values.corner_hz, signals.interval_s)
+        return signals.with_values(force=signals["force"] + picked_up)
+
+    return bench.with_stage("sensor", leak)
+
+
+@dataclass(frozen=True, kw_only=True)
 class ElectrodeDegradation:
     """A sensing electrode under cyclic strain: from `onset_cycle` on spots lose contact near two strains of each cycle.
 
@@ -253,6 +296,8 @@ _ALL = (
     Effect("amplitude_softening", AmplitudeSoftening, _amplitude_softening),
     Effect("clamp_slip", ClampSlip, _clamp_slip),
     Effect("wrinkling", Wrinkling, _wrinkling),
+    Effect("leakage", Leakage, _leakage),
+    Effect("crosstalk", Crosstalk, _crosstalk),
     Effect("electrode_degradation", ElectrodeDegradation, _electrode_degradation),
 )
 EFFECTS: dict[str, Effect] = {effect.mechanism: effect for effect in _ALL}

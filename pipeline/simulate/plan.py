@@ -28,8 +28,8 @@
     amplitude_mm = [0.5, 1.0]
     [[lifetimes]]                          a group (see `lifetime.LifetimeGroup`) with its [lifetimes.specimen]
     [[mishaps]]                            what went wrong with a file: recording and
-    kind = "truncated"                     truncated (share), missing_key (key), duplicate, mislabelled (specimen), and for CSV files
-                                           wrong_unit (quantity, unit; in the TOML) and unmapped (no TOML at all)
+    kind = "truncated"                     truncated (share), missing_key (key), duplicate, mislabelled (specimen), flipped (quantity),
+                                           and for CSV files wrong_unit (quantity, unit; in the TOML) and unmapped (no TOML at all)
 
 Does not belong here: simulating what is planned, which `campaign` does.
 """
@@ -90,7 +90,7 @@ class Mishap:
     """What happens to the file of a recording after the test."""
 
     recording: str = text()
-    kind: str = choice("truncated", "wrong_unit", "missing_key", "duplicate", "mislabelled", "unmapped")
+    kind: str = choice("truncated", "wrong_unit", "missing_key", "duplicate", "mislabelled", "flipped", "unmapped")
     share: float = number(0.6, above=0, at_most=1)
     quantity: str = text("force")
     unit: str = text("mm")
@@ -407,7 +407,7 @@ def _mishap(
         raise UsageError(f"{mishap.kind} is an accident of mapped files", where=where, expected='format = "csv"')
     if mishap.kind == "missing_key" and mishap.key not in REQUIRED_KEYS:
         raise UsageError(f"key is {shown(mishap.key)}", where=where, expected="one of " + ", ".join(REQUIRED_KEYS))
-    if mishap.kind == "wrong_unit" and mishap.quantity not in draft.sensors:
+    if mishap.kind in ("wrong_unit", "flipped") and mishap.quantity not in draft.sensors:
         raise UsageError(f"the recording has no {mishap.quantity}", where=where, expected=", ".join(draft.sensors))
     if mishap.kind == "mislabelled" and (draft.specimen is None or mishap.specimen not in specimens):
         raise UsageError(

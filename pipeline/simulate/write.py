@@ -251,6 +251,9 @@ def _write(simulated: SimulatedRecording, out: Path, mishaps: list[Mishap]) -> N
         # Not a value that the type allows: the point is a file that breaks the rules.
         lacking: dict[str, Any] = {by_kind["missing_key"].key: None}
         metadata = dataclasses.replace(metadata, **lacking)
+    flipped = by_kind.get("flipped")
+    if flipped is not None:
+        simulated = _with_opposite_sign(simulated, flipped.quantity)
     if simulated.format == "mcap":
         _write_mcap(simulated, metadata, path)
     else:
@@ -265,6 +268,12 @@ def _write(simulated: SimulatedRecording, out: Path, mishaps: list[Mishap]) -> N
         path.write_bytes(whole[: int(len(whole) * by_kind["truncated"].share)])
     if "duplicate" in by_kind:
         shutil.copyfile(path, path.with_name(f"{path.stem}-copy{path.suffix}"))
+
+
+def _with_opposite_sign(simulated: SimulatedRecording, quantity: str) -> SimulatedRecording:
+    channels = dict(simulated.recording.channels)
+    channels[quantity] = dataclasses.replace(channels[quantity], values=-channels[quantity].values)
+    return dataclasses.replace(simulated, recording=dataclasses.replace(simulated.recording, channels=channels))
 
 
 def _unit(simulated: SimulatedRecording, quantity: str) -> str:

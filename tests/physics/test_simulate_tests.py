@@ -177,6 +177,44 @@ def test_hum_is_at_the_mains_with_a_phase_of_its_own_in_each_recording() -> None
     assert abs(np.angle(phasors[0][0] / phasors[1][0])) > 0.01
 
 
+def test_a_leaky_film_sags_by_the_square_of_its_voltage_as_the_current_builds_up() -> None:
+    steps = {
+        "test": "step_electrical",
+        "specimens": ["A"],
+        "id": "s",
+        "levels_kv": [3.0, 6.0],
+        "on_s": 5.0,
+        "off_s": 5.0,
+    }
+    leak = {"droop": 0.1, "at_kv": 6.0, "build_up_s": 0.4}
+    plain, leaky = (made(steps | {"rest_s": 1.0}, effects=e)[0] for e in (None, {"leakage": leak}))
+    given, seen = values(plain, "voltage"), values(leaky, "voltage")
+    assert np.array_equal(values(plain, "command"), values(leaky, "command"))
+    on = np.flatnonzero(np.diff(given) > 1)
+    for first, level in zip(on, (3.0, 6.0), strict=True):
+        for after_s in (0.4, 4.5):
+            sag = 1 - seen[first + round(after_s * 2000)] / level
+            assert sag == pytest.approx(0.1 * (level / 6) ** 2 * (1 - np.exp(-after_s / 0.4)), abs=3e-4)
+    # the film feels what the monitor shows: at rest the force follows the square of that voltage
+    held = slice(on[1] + 9000, on[1] + 9100)
+    pulls = [0.9 - values(s, "force")[held].mean() for s in (plain, leaky)]
+    assert pulls[1] / pulls[0] == pytest.approx((seen[held].mean() / 6) ** 2, rel=2e-3)
+
+
+def test_crosstalk_is_in_the_force_while_the_voltage_changes_and_nowhere_else() -> None:
+    share = {"n_s_per_kv": 5e-5, "corner_hz": 160.0}
+    plain, picking_up = (made(SPHS, effects=e)[0] for e in (None, {"crosstalk": share}))
+    assert np.array_equal(values(plain, "voltage"), values(picking_up, "voltage"))
+    extra = np.fft.rfft((values(picking_up, "force") - values(plain, "force"))[-2000:])[1:100]
+    voltage = np.fft.rfft(values(plain, "voltage")[-2000:])[1:100]
+    s = 2j * np.pi * np.arange(1, 100)
+    strong = np.abs(voltage) > 0.1 * np.abs(voltage).max()
+    assert extra[strong] == pytest.approx((5e-5 * s * voltage / (1 + s / (2 * np.pi * 160)))[strong], rel=0.01)
+    (pulled,) = made(CHIRP, effects={"crosstalk": share})
+    (sound,) = made(CHIRP)
+    assert np.array_equal(values(pulled, "force"), values(sound, "force"))
+
+
 @pytest.mark.slow
 def test_baseline_falls_with_the_logarithm_of_time() -> None:
     hold = {"test": "step_electrical", "specimens": ["A"], "id": "s", "levels_kv": [1.0], "on_s": 1.0, "off_s": 98.0}

@@ -17,6 +17,7 @@ from pipeline.simulate import plan
 from pipeline.simulate.campaign import load_campaign, packaged_campaigns, read_campaign, simulate, simulate_one
 from pipeline.simulate.write import MARKER, simulate_command, write_campaign
 from schemas.errors import UsageError
+from schemas.mechanisms import FAULTS, MECHANISMS
 from schemas.metadata import RigConstants
 
 TABLE: dict[str, Any] = tomllib.loads(
@@ -192,6 +193,7 @@ def test_order_does_not_matter_and_a_seed_does() -> None:
         ("mishaps/0/recording", "A-hold-0.1mm", "mishaps[0]", "csv"),
         ("recordings/0/night", 0, "recordings[0]", "whole number of at least 1"),
         ("mishaps/0", {"recording": "export-2", "kind": "mislabelled", "specimen": "C"}, "mishaps[0]", "filed under"),
+        ("mishaps/0", {"recording": "export-2", "kind": "flipped", "quantity": "voltage"}, "mishaps[0]", "no voltage"),
         ("mishaps/3/key", "material", "mishaps[3]", "one of recording_id"),
         ("recordings", [], "campaign", "no recordings"),
     ],
@@ -368,6 +370,23 @@ def test_a_recording_is_filed_under_another_specimen(tmp_path: Path) -> None:
     assert (tmp_path / "B" / "A-hold-0.2mm.mcap").is_file()
 
 
+@pytest.mark.parametrize("name", ["A-hold-0.2mm", "export-1"])
+def test_a_flipped_channel_is_written_with_the_opposite_sign_and_nothing_else(tmp_path: Path, name: str) -> None:
+    from ingest.canonical import canonical
+    from ingest.mapping import find_mapping
+    from ingest.read import read_raw
+
+    table = edited("mishaps", [{"recording": name, "kind": "flipped", "quantity": "force"}])
+    campaign = read_campaign(table)
+    write_campaign(campaign, tmp_path)
+    (path,) = (p for p in (tmp_path / "A").iterdir() if p.stem == name and p.suffix != ".toml")
+    found = canonical(read_raw(path, find_mapping(path) if path.suffix == ".csv" else None), where=name)
+    simulated = next(s.recording for s in simulate(campaign) if s.recording_id == name)
+    written = {quantity: channel.values for quantity, channel in found.channels.items()}
+    assert written["force"] == pytest.approx(-simulated.channels["force"].values, rel=1e-8, abs=1e-9)
+    assert written["displacement"] == pytest.approx(simulated.channels["displacement"].values, rel=1e-8, abs=1e-9)
+
+
 def test_the_command_takes_a_file_or_a_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -410,16 +429,32 @@ def test_the_campaign_of_the_thesis_is_sound() -> None:
 def test_the_demonstration_tells_its_story() -> None:
     campaign = load_campaign("demo")
     assert {name: [*s.effects] for name, s in campaign.specimens.items() if s.effects} == {
+        "PA-2": ["sensor_delay"],
+        "PA-3": ["gain_error"],
+        "SI-3": ["drive_lag"],
+        "SI-4": ["leakage"],
+        "SI-5": ["crosstalk"],
         "ST-1": ["amplitude_softening"],
         "ST-2": ["amplitude_softening"],
         "ST-3": ["clamp_slip"],
         "WR-1": ["wrinkling"],
     }
+    assert "crosstalk" not in {*MECHANISMS, *FAULTS}, "nothing that dealab could name"
     assert {s.deviations.batch for s in campaign.specimens.values() if "amplitude_softening" in s.effects} == {"B7"}
-    assert sorted(m.kind for m in campaign.mishaps) == ["mislabelled", "truncated", "unmapped"]
+    assert sorted((m.kind, m.recording) for m in campaign.mishaps) == [
+        ("flipped", "SI-3-chirp-0.9mm"),
+        ("mislabelled", "SI-2-chirp-0.45mm"),
+        ("truncated", "PA-1-chirp-aborted"),
+        ("unmapped", "PA-1-relaxation-export"),
+        ("wrong_unit", "SI-3-relaxation"),
+    ]
+    clipped = simulate_one(campaign, next(p for p in campaign.planned if p.recording_id == "SI-6-chirp-0.6mm"))
+    limit = campaign.rigs["shaker"].true.load_cell_range_n
+    assert clipped.recording.channels["force"].values.max() > limit * (1 - 1e-4)
     changed = campaign.rigs["shaker-2"]
     assert changed.true.clamp_mass_kg > changed.stated.clamp_mass_kg + 5 * changed.stated.clamp_mass_kg_sd
-    assert {p.procedure.protocol for p in campaign.planned if p.night == 2} == {"tap"}
+    again = {(p.procedure.protocol, p.rig.name) for p in campaign.planned if p.night == 2}
+    assert again == {("tap", "shaker-2")}, "nobody taps shaker-3: what is open there stays open"
 
 
 @pytest.mark.parametrize(
