@@ -41,6 +41,45 @@ def grid(x: Float, y: Float, relative: Float, active: Bool) -> Film:
     return Film(across, along, thickness, under)
 
 
+@dataclass(frozen=True)
+class Thinnest:
+    """The thinnest place under an electrode: where in mm, how thick over the median, and whether its mirror images are as thin."""
+
+    x: float
+    y: float
+    relative: float
+    mirrored_x: bool
+    mirrored_y: bool
+
+    @property
+    def place(self) -> str:
+        """`at x = ±12, y = −8 mm`."""
+        parts = []
+        for name, value, mirrored in (("x", self.x, self.mirrored_x), ("y", self.y, self.mirrored_y)):
+            shown = tick_text(round(abs(value) if mirrored else value, 1))
+            parts.append(f"{name} = {'±' if mirrored and value else ''}{shown}")
+        return f"at {', '.join(parts)} mm"
+
+
+_ALIKE = 0.005
+"""Difference of the relative thickness below which a place and its mirror image are equally thin."""
+
+
+def find_thinnest(film: Film) -> Thinnest | None:
+    """Where the film is thinnest under the electrode; None where none is known there."""
+    under = np.where(film.active, film.relative, np.nan)
+    if not np.isfinite(under).any():
+        return None
+    row, column = np.unravel_index(int(np.nanargmin(under)), under.shape)
+    x, y, least = float(film.x[column]), float(film.y[row]), float(under[row, column])
+
+    def is_alike(x: float, y: float) -> bool:
+        rows, columns = np.isclose(film.y, y, atol=1e-3), np.isclose(film.x, x, atol=1e-3)
+        return bool((np.abs(under[np.ix_(rows, columns)] - least) < _ALIKE).any())
+
+    return Thinnest(x, y, least, is_alike(-x, y), is_alike(x, -y))
+
+
 def palette() -> NDArray[np.uint8]:
     """256 greys from thick (light) to thin (dark)."""
     share = np.linspace(0, 1, 256)[:, None]

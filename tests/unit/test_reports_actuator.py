@@ -183,7 +183,27 @@ def test_constraint(pages: dict[str, str]) -> None:
         "A held passive part raises the force 1.67 times and the capacitive strain 1.67 times; 1.67 is expected, the thesis found 3"
         in text
     )
-    assert "Sensitivity over geometry. Measured: F-1 0.36; H-1 0.61." in text
+    assert text.count("Most sensitive is H-1, with 0.608: 1.7 times F-1, the least.") == 2, (
+        "beside the map, and for who cannot see it"
+    )
+
+
+def test_the_map_of_forces_says_where_they_are_largest_and_by_how_much() -> None:
+    def point(name: str, direction: int, stretch_2: float, force_n: float | None) -> dict[str, object]:
+        return {
+            "specimen_id": name, "direction": direction, "stretch_1": 1.2, "stretch_2": stretch_2, "force_n": force_n,
+            "force_sd_n": 4e-3,
+        }  # fmt: skip
+
+    found = [point("B", 1, 2.0, 0.12), point("B", 1, 3.0, -0.36), point("B", 1, 4.0, None), point("B", 2, 3.0, 0.05)]
+    said = force.tell_strongest(found, found[1]).replace("\xa0", " ")
+    assert said == (
+        "In direction 1 the force is largest at stretches 1.20 and 3.00, −360 ± 4 mN: 3.0 times the 120 ± 4 mN at 1.20 and"
+        " 2.00, where it is least."
+    )
+    alone = force.tell_strongest(found[3:], found[3]).replace("\xa0", " ")
+    assert alone == "In direction 2 the force is largest at stretches 1.20 and 3.00, 50 ± 4 mN."
+    assert force.tell_strongest([*found, point("C", 1, 3.0, 0.1)], found[1]).startswith("B in direction 1 the force")
 
 
 def test_the_largest_force_is_the_largest_in_size() -> None:

@@ -28,6 +28,7 @@ from reports.figures.panel import Drawing, Panel
 from reports.figures.picture import pictured
 from reports.figures.responses import Curve, Lines, beyond, find_jump, residual, response
 from reports.figures.scale import Scale, apart, linear, logarithmic, nice, tick_text
+from reports.pages.campaign.places import tell_thinnest
 from reports.pages.specimen import film as response_page
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -254,6 +255,24 @@ def test_film_is_put_together_from_points_in_any_order() -> None:
     np.testing.assert_array_equal(found.relative, [[0, 1, 2], [10, 11, 12]])
     image = film.thickness_map(found, (0.7, 1.0), {"left": 1}, "film", alt="x")
     assert parsed(image).find(SVG + "image") is not None
+
+
+def test_the_thinnest_place_is_under_the_electrode_with_its_mirror_images() -> None:
+    x, y = np.meshgrid(np.linspace(-2, 2, 5), np.linspace(-3, 3, 7))
+    relative = 1 - 0.1 * (np.abs(x) == 1) * (y == 2) - 0.3 * (np.abs(x) == 2)
+    found = film.find_thinnest(film.grid(x.ravel(), y.ravel(), relative.ravel(), (np.abs(x) < 2).ravel()))
+    assert found is not None
+    assert (abs(found.x), found.y, found.relative) == (1, 2, pytest.approx(0.9)), "beside the electrode it is thinner"
+    assert (found.mirrored_x, found.mirrored_y) == (True, False)
+    assert found.place == "at x = ±1, y = 2 mm"
+    told = tell_thinnest(film.grid(x.ravel(), y.ravel(), relative.ravel(), (np.abs(x) < 2).ravel())).replace(
+        "\xa0", " "
+    )
+    assert told == (
+        "Thinnest under the electrode at x = ±1, y = 2 mm: 90 % of the median thickness, so that the field there is 1.11 times"
+        " that at the median."
+    )
+    assert film.find_thinnest(film.grid(x.ravel(), y.ravel(), relative.ravel(), np.zeros(x.size, dtype=bool))) is None
 
 
 def test_misfit_colours_darken() -> None:

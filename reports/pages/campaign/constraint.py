@@ -18,7 +18,8 @@ _SQL = """SELECT *
 FROM constraint_gains
 WHERE campaign = $campaign
 ORDER BY free_specimen, constrained_specimen, voltage_kv"""
-_MAP_SQL = """SELECT f.specimen_id, f.sensitivity, g.sensing_mm / g.active_mm AS r,
+_MAP_SQL = """SELECT f.specimen_id, f.sensitivity, f.sensitivity_sd,
+       g.sensing_mm / g.active_mm AS r,
        (g.total_mm - g.active_mm - g.sensing_mm - g.held_mm) / g.active_mm AS r_d
 FROM sensing_fits f JOIN (
     SELECT specimen_id, any_value(TRY_CAST(metadata ->> '$.recording.total_length_mm' AS DOUBLE)) AS total_mm,
@@ -106,12 +107,28 @@ def _map(draft: Draft) -> Figure | None:
     names = [short(r["specimen_id"], 12) for r in rows]
     sensing, rest, measured = (np.array([r[n] for r in rows], dtype=float) for n in ("r", "r_d", "sensitivity"))
     words = "; ".join(f"{n} {significant(abs(float(m)), 2)}" for n, m in zip(names, measured, strict=True))
+    told = _tell_most_sensitive(rows)
     return Figure(
-        sensitivity_map(names, sensing, rest, np.abs(measured), alt=f"Sensitivity over geometry. Measured: {words}."),
-        flow(bold("Sensitivity over geometry."), " Lines: 1/(R + R", sub("", "d"), "), R of the sensing region and R", sub("", "d"), " of the free rest: change of the capacitive strain per stretch of the active region"
+        sensitivity_map(names, sensing, rest, np.abs(measured), alt=f"Sensitivity over geometry. {told} Measured: {words}."),
+        flow(bold("Sensitivity over geometry."), f" {told} Lines: 1/(R + R", sub("", "d"), "), R of the sensing region and R", sub("", "d"), " of the free rest: change of the capacitive strain per stretch of the active region"
              " (thesis, eq 5.19 to 5.23). Points: specimens with the value found. Held parts count as no length."),
         draft.data("sensitivity-map", {"specimen_id": names, "r": sensing, "r_d": rest, "sensitivity": measured}),
     )  # fmt: skip
+
+
+def _tell_most_sensitive(rows: Sequence[Record]) -> str:
+    """`Most sensitive is H-1, with 0.61 ± 0.02: 1.7 times F-1, the least.` A sentence, also for one specimen."""
+    ranked = sorted(rows, key=lambda r: -abs(r["sensitivity"]))
+    most, least = ranked[0], ranked[-1]
+    value, sd = abs(most["sensitivity"]), most["sensitivity_sd"]
+    size = significant(value) if sd is None else pm(value, sd)
+    if len(ranked) == 1:
+        return f"{short(most['specimen_id'], 20)} has a sensitivity of {size}."
+    times = ""
+    if least["sensitivity"]:
+        ratio = abs(most["sensitivity"] / least["sensitivity"])
+        times = f": {significant(ratio, 2)} times {short(least['specimen_id'], 20)}, the least"
+    return f"Most sensitive is {short(most['specimen_id'], 20)}, with {size}{times}."
 
 
 def _table(query: Query, found: Sequence[Record]) -> Table:

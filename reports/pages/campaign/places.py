@@ -225,15 +225,30 @@ def _maps(draft: Draft, failed: Sequence[Record]) -> Block | None:
         words = (
             ", ".join(f"{region} {n}" for region, n in counts.items()) if total else "no failure with a region noted"
         )
-        alt = f"{short(name, 40)}: film {percent(span[0])} to {percent(span[1])} of the median thickness; failures: {words}."
+        thinnest = tell_thinnest(shown)
+        alt = (
+            f"{short(name, 40)}: film {percent(span[0])} to {percent(span[1])} of the median thickness. {thinnest}"
+            f" Failures: {words}."
+        )
         drawn.append(
             Figure(
                 film.thickness_map(shown, span, counts, short(name, 42), alt=alt),
-                flow(f"{words[:1].upper()}{words[1:]}. Shade: ", percent(span[1]), " (light) to ", percent(span[0]), " (dark) of the median thickness; blue: edge of the electrode; lengths in mm."),
+                flow(f"{thinnest} Failures: {words}. Shade: ", percent(span[1]), " (light) to ", percent(span[0]), " (dark) of the median thickness; blue: edge of the electrode; lengths in mm."),
                 href,
             )
         )  # fmt: skip
     return Pair(tuple(drawn), "trio")
+
+
+def tell_thinnest(shown: film.Film) -> str:
+    """Where the simulated film is thinnest under the electrode, and what that does to the field; a sentence."""
+    found = film.find_thinnest(shown)
+    if found is None:
+        return "No thickness is known under the electrode."
+    return (
+        f"Thinnest under the electrode {found.place}: {percent(found.relative)} of the median thickness, so that the field there"
+        f" is {significant(1 / found.relative)} times that at the median."
+    )
 
 
 def _where_heading(known: Sequence[Record]) -> str:

@@ -199,7 +199,10 @@ def _maps(draft: Draft, d: Record) -> list[Block]:
             continue
         total = f" χ² {significant(chi2)} for {whole(count)} values." if chi2 is not None else ""
         i, j = np.unravel_index(int(np.nanargmax(maps[column])), maps[column].shape)
-        peak = f"Largest: {significant(float(maps[column][i, j]), 2)} times the noise, {columns[j]} of {short(names[i], 40)}."
+        peak = (
+            f"The {title.lower()} is farthest off in {columns[j]} of {short(names[i], 40)}, by"
+            f" {significant(float(maps[column][i, j]), 2)} times the noise."
+        )
         image = figures.residual_map(
             maps[column], names, columns, f"{title}: residual, SD of the noise",
             alt=f"{title}: root mean square residual by recording and quantity. {peak}",
@@ -245,7 +248,10 @@ def _frequency_maps(draft: Draft) -> list[Block]:
         rms = np.sqrt(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
         worst = np.sort(np.argsort(-np.nanmax(rms, axis=1), kind="stable")[:_MAPPED])
         i, j = np.unravel_index(int(np.nanargmax(rms)), rms.shape)
-        peak = f"Largest: {significant(float(rms[i, j]), 2)} times the noise from {names[j]} Hz in {short(recordings[i], 40)}."
+        peak = (
+            f"The {title.lower()} is farthest off from {names[j]} Hz in {short(recordings[i], 40)}, by"
+            f" {significant(float(rms[i, j]), 2)} times the noise."
+        )
         shown = [recordings[k].removeprefix(common) or recordings[k] for k in worst]
         kept[model] = rms
         image = figures.residual_map(

@@ -94,12 +94,7 @@ def _figure(draft: Draft, found: Sequence[Record], fits: Sequence[Record], axis:
         part = [r for r in found if (r["specimen_id"], r["direction"]) == key and r["force_n"] is not None]
         if part:
             series.append(_series(part, axis, fitted.get(key[0]), several=len(fitted) > 1))
-    words = ""
-    if best is not None:
-        words = (
-            f"Largest: {_force(best)} in direction {best['direction']} at stretches {significant(best['stretch_1'])} and"
-            f" {significant(best['stretch_2'])}."
-        )
+    words = "" if best is None else tell_strongest(found, best)
     lines = "dashed: thesis, eq 3.7, with the permittivity stated"
     if any(s.fitted is not None for s in series):
         lines += "; solid: with the one permittivity that meets all points best; below: what is left of that"
@@ -109,6 +104,29 @@ def _figure(draft: Draft, found: Sequence[Record], fits: Sequence[Record], axis:
         flow(bold("Static force."), f" {words} Points: mean ± 2 SD of the repeats; {lines}."),
         draft.data("force_map", columns),
     )  # fmt: skip
+
+
+def tell_strongest(found: Sequence[Record], best: Record) -> str:
+    """Where the force is largest, and how many times the least of the same film and direction; a sentence."""
+    several = len({r["specimen_id"] for r in found}) > 1
+    who = f"{short(best['specimen_id'] or '', 30)} in" if several else "In"
+    text = (
+        f"{who} direction {best['direction']} the force is largest at stretches {significant(best['stretch_1'])} and"
+        f" {significant(best['stretch_2'])}, {_force(best)}"
+    )
+    like = [
+        r
+        for r in found
+        if (r["specimen_id"], r["direction"]) == (best["specimen_id"], best["direction"]) and r["force_n"]
+    ]
+    least = min(like, key=lambda r: abs(r["force_n"]), default=best)
+    if least is best:
+        return f"{text}."
+    ratio = abs(best["force_n"] / least["force_n"])
+    return (
+        f"{text}: {significant(ratio, 2)} times the {_force(least)} at {significant(least['stretch_1'])} and"
+        f" {significant(least['stretch_2'])}, where it is least."
+    )
 
 
 def _series(part: Sequence[Record], axis: str, permittivity: float | None, *, several: bool) -> ForceSeries:
