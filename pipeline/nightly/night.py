@@ -42,6 +42,7 @@ from pipeline.nightly.read import adopt_journal, include_recordings, read_conten
 from pipeline.nightly.stages import STAGES, Night
 from pipeline.nightly.workers import Track, Workers, load_module
 from schemas.errors import DealabError, UsageError, describe_error
+from schemas.numbers import NBSP, seconds
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,9 @@ class Summary:
 
     Parameters
     ----------
-    run_id, seconds : number of the run, and how long it took
+    run_id : number of the run
+    took_s : how long it took but for its pages, s: the pages say the same, from `runs`
+    pages_s : how long writing the pages took, s
     counts : of its files
     analysed : results that were made
     missing : known recordings whose file has gone
@@ -62,7 +65,8 @@ class Summary:
     """
 
     run_id: str
-    seconds: float
+    took_s: float
+    pages_s: float
     counts: Counts
     analysed: int
     missing: int
@@ -105,7 +109,8 @@ class Summary:
             number = len(self.without_result)
             parts.append(f"{number} {'recording' if number == 1 else 'recordings'} led to no result")
         done = f"{self.analysed} results made" if self.analysed else "nothing had to be done again"
-        return "; ".join(parts) + f". {done[0].upper()}{done[1:]}; {self.seconds:.1f} s."
+        times = f"took {seconds(self.took_s)}, its pages {seconds(self.pages_s)} more".replace(NBSP, " ")
+        return "; ".join(parts) + f". {done[0].upper()}{done[1:]}; {times}."
 
 
 _REPORTS = "reports.build"
@@ -146,30 +151,30 @@ def nightly(
         raise UsageError("there is no such folder", where=str(rigs), expected="a folder of rig files")
     check_given(path for path in raw if not is_url(path))  # before a lab is made for a slip of the pen
     lab.create()
-    with end_when_told(), hold_lab(lab):
+    with end_when_told(), hold_lab(lab), _prepare(raw, lab, jobs, rigs, cluster, track) as night:
+        night.workers.announce("files")
+        found = look_at_files(
+            raw, lab, night.ledger, run_id=night.run_id, deadline_s=night.settings.deadline_s, rigs=rigs
+        )
+        if found.some_new:
+            night.workers.prepare()
+        reports = _load_beside(_REPORTS)
+        adopt_journal(night)
+        out = list_excluded(night.annotations)
+        read_contents(night, found)
+        include_recordings(night, out)
+        derive_results(night)
+        night.workers.load(_REPORTS)
+        night.workers.announce("database")
+        write_rows(night.ledger, found.roots, out)
+        finished_at = publish_night(night, found)
         clock = time.monotonic()
-        with _prepare(raw, lab, jobs, rigs, cluster, track) as night:
-            night.workers.announce("files")
-            found = look_at_files(
-                raw, lab, night.ledger, run_id=night.run_id, deadline_s=night.settings.deadline_s, rigs=rigs
-            )
-            if found.some_new:
-                night.workers.prepare()
-            reports = _load_beside(_REPORTS)
-            adopt_journal(night)
-            out = list_excluded(night.annotations)
-            read_contents(night, found)
-            include_recordings(night, out)
-            derive_results(night)
-            night.workers.load(_REPORTS)
-            night.workers.announce("database")
-            write_rows(night.ledger, found.roots, out)
-            publish_night(night, found)
-            reports.join()
-            night.workers.announce("pages")
-            problem = _write_report(night)
-            discard_work(night)
-            return _summarise(night, found, time.monotonic() - clock, problem)
+        reports.join()
+        night.workers.announce("pages")
+        problem = _write_report(night)
+        discard_work(night)
+        took_s = (finished_at - night.started_at).total_seconds()
+        return _summarise(night, found, took_s, time.monotonic() - clock, problem)
 
 
 @contextlib.contextmanager
@@ -208,10 +213,11 @@ def _list_shared(raw: Sequence[str | os.PathLike[str]], lab: Lab) -> Iterator[st
                 yield from (item.path for item in itertools.islice(items, _SHARED))
 
 
-def _summarise(night: Night, found: Found, seconds: float, problem: str | None) -> Summary:
+def _summarise(night: Night, found: Found, took_s: float, pages_s: float, problem: str | None) -> Summary:
     return Summary(
         night.run_id,
-        seconds,
+        took_s,
+        pages_s,
         count_files(night, found),
         count_results(night),
         count_missing(night),

@@ -165,17 +165,21 @@ def count_missing(night: Night) -> int:
     return night.ledger.number("SELECT count(*) FROM rows WHERE NOT source_present")
 
 
-def publish_night(night: Night, found: Found) -> None:
+def publish_night(night: Night, found: Found) -> datetime:
     """Puts samples and refused files in their place, publishes the database, removes what no row speaks of any more.
 
-    Raises `LabError`; the published database is then as it was.
+    Returns when the night was over but for its pages, as `runs` has it. Raises `LabError`; the published database is
+    then as it was.
     """
     _place_samples(night)
     _place_refused(night)
     _book_passed(night, found)
-    publish(night.lab, Changes(Streamed(_list_deletions, night, found), Streamed(_list_insertions, night, found)))
+    finished_at = datetime.now(UTC)
+    insertions = Streamed(_list_insertions, night, found, finished_at)
+    publish(night.lab, Changes(Streamed(_list_deletions, night, found), insertions))
     _remove_old_samples(night)
     _release_strays(night)
+    return finished_at
 
 
 def _book_passed(night: Night, found: Found) -> None:
@@ -234,7 +238,7 @@ def _list_files_gone(night: Night, found: Found) -> Iterator[str]:
             yield path
 
 
-def _list_insertions(night: Night, found: Found) -> Iterator[Mapping[str, Rows]]:
+def _list_insertions(night: Night, found: Found, finished_at: datetime) -> Iterator[Mapping[str, Rows]]:
     ledger = night.ledger
     changed = f"SELECT {_ROW} FROM rows WHERE changed"
     made = "FROM outcomes o JOIN standing s USING (item_id) WHERE o.done ORDER BY item_id"
@@ -270,7 +274,7 @@ def _list_insertions(night: Night, found: Found) -> Iterator[Mapping[str, Rows]]
         yield {"accidents": [dict(zip(TABLES["accidents"].names, row, strict=True)) for row in some]}
     yield {
         "annotations": [{**asdict(one), "at": datetime.fromisoformat(one.at)} for one in night.annotations],
-        "runs": [_describe_run(night, found)],
+        "runs": [_describe_run(night, found, finished_at)],
     }
 
 
@@ -301,12 +305,12 @@ def _complete_row(night: Night, row: Sequence[Any], full: Mapping[str, Any]) -> 
     }
 
 
-def _describe_run(night: Night, found: Found) -> dict[str, Any]:
+def _describe_run(night: Night, found: Found, finished_at: datetime) -> dict[str, Any]:
     notes = [*map(str, found.passed), *(f"{path}: {NO_MAPPING}" for path in found.unmapped)]
     return {
         "run_id": night.run_id,
         "started_at": night.started_at,
-        "finished_at": datetime.now(UTC),
+        "finished_at": finished_at,
         "software_version": software_version(),
         **asdict(count_files(night, found)),
         "notes": json.dumps(notes, ensure_ascii=False),

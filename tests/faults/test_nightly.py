@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -31,6 +32,7 @@ from pipeline.nightly.look import has_newer_folder
 from pipeline.nightly.night import Summary, nightly
 from reports.build import build_reports
 from schemas.errors import LabError, UsageError
+from schemas.numbers import NBSP, seconds
 from schemas.tables import TABLES
 from tests.conftest import ROOT
 from tests.faults.harness import STAGES, finished
@@ -106,6 +108,17 @@ def test_a_first_night_fills_the_lab(made: tuple[Path, Path]) -> None:
     assert {p.name for p in lab.folder.iterdir()} == {".lock", "results.duckdb", "samples", "reports"}
     paths = [path for (path,) in select(lab, "SELECT samples_path FROM recordings")]
     assert all((lab.folder / path).is_file() for path in paths)
+
+
+def test_terminal_and_pages_say_one_time_of_a_night(made: tuple[Path, Path], tmp_path: Path) -> None:
+    """The pages were written before the night ended, and had said less than the terminal did: 642 s of 761 s."""
+    raw, lab = copy_night(*made, tmp_path)
+    said = re.search(r"; took (.+), its pages .+ more[.]$", nightly([raw], lab, jobs=0).paragraph())
+    assert said is not None
+    page = (lab.reports / "index.html").read_text(encoding="utf-8").replace(NBSP, " ")
+    assert re.findall(r"took ([^<·]+?) *·", page) == [said[1]]
+    (took_s,) = select(lab, "SELECT seconds FROM nights ORDER BY run_id DESC LIMIT 1")[0]
+    assert seconds(took_s).replace(NBSP, " ") == said[1]
 
 
 def test_nothing_new_does_nothing_and_says_so(night: Any) -> None:

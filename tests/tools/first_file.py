@@ -78,7 +78,7 @@ def shown(readme: Path) -> str:
 def without_times(said: str) -> str:
     """What a night said, without its progress and the time that it took, which are those of this machine."""
     steady = re.sub(r"^dealab: after [0-9]+ s: .*\n", "", said, flags=re.MULTILINE)
-    return re.sub(r"[0-9.]+ s[.]$", "… s.", steady, flags=re.MULTILINE)
+    return re.sub(r"took .+, its pages .+ more[.]$", "took …, its pages … more.", steady, flags=re.MULTILINE)
 
 
 def show(done: Sequence[Done]) -> str:
