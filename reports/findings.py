@@ -83,7 +83,7 @@ def headline(standing: Standing) -> Markup:
     if d and d["verdict"] == "ambiguous":
         return flow(who, f": {what_is_wrong(standing)}. The recordings {tell_doubt(d)}.")
     if d and d["verdict"] == "unknown":
-        return flow(who, f": {_tell_unnamed(d)}; none of the {LISTED_CAUSES} listed causes explains it")
+        return flow(who, f": {tell_unnamed(d)}; none of the {LISTED_CAUSES} listed causes explains it")
     if fit is None:
         return flow(who, "")
     if no_relaxation(fit) and not d:
@@ -97,7 +97,7 @@ def headline(standing: Standing) -> Markup:
     return flow(who, f": a {film}, ", _tell_stiffness(fit), f"; {ending}")
 
 
-def _tell_unnamed(d: Row) -> str:
+def tell_unnamed(d: Row) -> str:
     """Where an effect without a name acts, and on what it depends, as far as that is known."""
     if not d["stage"]:
         return "the simulation is wrong"

@@ -22,6 +22,8 @@ _JUDGED = (
     " UNION ALL SELECT specimen_id FROM discrepancies)"
 )
 """Recordings of specimens with a model, a diagnosis or something negative."""
+_TELL_SIGN = {"sign_flipped", "channels_swapped"}
+"""Faults that say themselves why something is negative that no film has."""
 _AT_ONCE = 100
 """Specimens in memory at a time: a fit has many columns."""
 
@@ -129,18 +131,21 @@ def stand(
     recordings : of it, in their order
     fits : rows of `model_fits` of it
     diagnosis : its row of `diagnoses`, if it has one
-    negative : what came out negative that no film has
+    negative : what came out negative that no film has; a diagnosis that names why says it better
     taps : whether taps of the clamp are among what its diagnosis rests on
     owner : whose its foreign recordings may be
     """
     last = recordings[-1] if recordings else None
     fit = choice(fits)
+    diagnosed = told(diagnosis)
+    if diagnosed and diagnosed["verdict"] == "named" and _TELL_SIGN & {*(diagnosed["mechanisms"] or ())}:
+        negative = ""
     return Standing(
         specimen,
         last["material"] if last else None,
         last["configuration"] if last else None,
         fit,
-        told(diagnosis),
+        diagnosed,
         stated_rig(recordings),
         unasked(diagnosis),
         batch=_batch(last) if last else "",

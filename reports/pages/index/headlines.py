@@ -33,7 +33,7 @@ from reports.pages import found, listing
 from reports.pages.campaign import lives
 from reports.pages.index import control, trouble
 from reports.pages.specimen import comparing_models, film
-from reports.site import CONTROL, SPECIMENS, Site
+from reports.site import CONTROL, REFUSED, SPECIMENS, Site
 from reports.standings import Brief, of_lab
 from schemas.explanations import cause
 from schemas.mechanisms import RECORD
@@ -46,7 +46,7 @@ _ALARMED, _MOST = 12, 20
 """Specimens with a finding of their own, and findings altogether."""
 _LIMITS = 4
 """Films and electrodes beyond their limit with a finding of their own."""
-_TO_DO = 2, 6
+_TO_DO = 2, 12
 """Lines of what to do from which on they are worth a table, and most of them in it that are about specimens."""
 _NAMED = 3
 """Files without a mapping, or damaged recordings, that are named."""
@@ -169,8 +169,10 @@ def _to_do(
         doing = following[standing.specimen_id]
         if doing is not None and standing.diagnosis is not None:
             who = listed([site.specimen(s.specimen_id, "") for s in group])
-            rows.append(Row((who, f"{capital(cause(standing.diagnosis))}.", doing.body)))
-    unread = [*_unread(site), *_damaged(site)]
+            d = standing.diagnosis
+            what = findings.tell_unnamed(d) if d["verdict"] == "unknown" else cause(d)
+            rows.append(Row((who, f"{capital(what)}.", doing.body)))
+    unread = [*_unread(site), *_refused(site), *_damaged(site)]
     if len(rows) + 2 * len(unread) < _TO_DO[0]:
         return None
     more = len(rows) - _TO_DO[1]
@@ -198,6 +200,19 @@ def _list_some(items: Sequence[Piece], what: str) -> Piece:
     return listed([*items[:_NAMED], *([digits(more, f"other {what}")] if more > 0 else [])])
 
 
+def _refused(site: Site) -> list[Row]:
+    """The files that were refused, in one line; no line where there are none."""
+    rows = trouble.list_refused(site)
+    if not rows:
+        return []
+    who = _list_some([code(short(r["source_path"].rpartition("/")[2], 80)) for r in rows], "file")
+    why, remedy = trouble.reason(rows[0]["problem"])
+    if len(rows) == 1 and remedy:
+        return [Row((who, flow("Refused: ", why), remedy))]
+    them = "it was" if len(rows) == 1 else "they were"
+    return [Row((who, f"{capital(them)} refused.", flow("Mend and copy again: ", link("why, and how", REFUSED), ".")))]
+
+
 def _damaged(site: Site) -> list[Row]:
     """The recordings of which a part could not be read, in one line; no line where there are none."""
     rows = trouble.list_damaged(site)
@@ -216,11 +231,27 @@ def _out_of_control(site: Site) -> list[Finding]:
     points = control.alarms(site)
     more = len(points) - _POINTS
     ending = f"{capital(digits(more, 'further point'))} out of control. " if more > 0 else ""
+    shown = points[:_POINTS]
+    specimens = sorted({a["point"] for a in shown if a["point_kind"] == "specimen"})
+    faulty = {
+        s.specimen_id: cause(s.diagnosis)
+        for s in of_lab(site.results, specimens)
+        if s.diagnosis and s.verdict == "named" and s.diagnosis["stage"] == RECORD
+    }
     return [
         Finding(
-            control.sentence(a), (flow(ending if i == _POINTS - 1 else "", link("Control charts", CONTROL)),), "open"
+            control.sentence(a),
+            (
+                *(
+                    [f"Fitted to recordings with a fault: {faulty[a['point']]}. Put that right first."]
+                    if a["point"] in faulty
+                    else []
+                ),
+                flow(ending if i == _POINTS - 1 else "", link("Control charts", CONTROL)),
+            ),
+            "open",
         )
-        for i, a in enumerate(points[:_POINTS])
+        for i, a in enumerate(shown)
     ]
 
 

@@ -98,6 +98,14 @@ def refused_table(site: Site, limit: int, offset: int, note: str = "", root: str
     return Table("Refused", heads, tuple(rows), query.shown(), note)
 
 
+def list_refused(site: Site) -> list[Record]:
+    """`source_path` and `problem` of the refused files, new ones first."""
+    return site.results.rows(
+        "SELECT source_path, problem FROM recordings WHERE status = 'quarantined' AND source_path IS NOT NULL\n"
+        f"ORDER BY run_id IS NOT DISTINCT FROM {LAST_RUN} DESC, source_path"
+    )
+
+
 def reason(problem: str | None) -> tuple[str, str]:
     """A stored reason in two parts: what is wrong with what was expected, and what to do (empty if it does not say)."""
     text = short(problem, 700) if problem else "no reason is recorded"
