@@ -202,7 +202,7 @@ def test_the_map_of_forces_says_where_they_are_largest_and_by_how_much() -> None
         " 2.00, where it is least."
     )
     alone = force.tell_strongest(found[3:], found[3]).replace("\xa0", " ")
-    assert alone == "In direction 2 the force is largest at stretches 1.20 and 3.00, 50 ± 4 mN."
+    assert alone == "In direction 2 the force is 50 ± 4 mN, at stretches 1.20 and 3.00."
     assert force.tell_strongest([*found, point("C", 1, 3.0, 0.1)], found[1]).startswith("B in direction 1 the force")
 
 

@@ -222,9 +222,7 @@ def _maps(draft: Draft, failed: Sequence[Record]) -> Block | None:
         mine = [r["failure_region"] for r in failed if r["configuration"] == name]
         counts = {region: mine.count(region) for region in film.REGIONS}
         total = sum(counts.values())
-        words = (
-            ", ".join(f"{region} {n}" for region, n in counts.items()) if total else "no failure with a region noted"
-        )
+        words = ", ".join(f"{region} {n}" for region, n in counts.items()) if total else "none with a region noted"
         thinnest = tell_thinnest(shown)
         alt = (
             f"{short(name, 40)}: film {percent(span[0])} to {percent(span[1])} of the median thickness. {thinnest}"

@@ -172,6 +172,10 @@ def _wrong(draft: Draft, d: Record) -> list[Block | Fold]:
     return blocks
 
 
+_COLUMN_WORDS = {"rest": "the levels at rest", "left out": "what the fit left out"}
+"""Columns of the map whose names are no nouns within a sentence."""
+
+
 def _maps(draft: Draft, d: Record) -> list[Block]:
     query = Query(_BLOCK_SQL, {"specimen": draft.item})
     found = draft.results.rows(query)
@@ -200,7 +204,8 @@ def _maps(draft: Draft, d: Record) -> list[Block]:
         total = f" χ² {significant(chi2)} for {whole(count)} values." if chi2 is not None else ""
         i, j = np.unravel_index(int(np.nanargmax(maps[column])), maps[column].shape)
         peak = (
-            f"The {title.lower()} is farthest off in {columns[j]} of {short(names[i], 40)}, by"
+            f"The {title.lower()} is farthest off in {_COLUMN_WORDS.get(columns[j], f'the {columns[j]}')} of"
+            f" {short(names[i], 40)}, by"
             f" {significant(float(maps[column][i, j]), 2)} times the noise."
         )
         image = figures.residual_map(

@@ -110,21 +110,19 @@ def tell_strongest(found: Sequence[Record], best: Record) -> str:
     """Where the force is largest, and how many times the least of the same film and direction; a sentence."""
     several = len({r["specimen_id"] for r in found}) > 1
     who = f"{short(best['specimen_id'] or '', 30)} in" if several else "In"
-    text = (
-        f"{who} direction {best['direction']} the force is largest at stretches {significant(best['stretch_1'])} and"
-        f" {significant(best['stretch_2'])}, {_force(best)}"
-    )
     like = [
         r
         for r in found
         if (r["specimen_id"], r["direction"]) == (best["specimen_id"], best["direction"]) and r["force_n"]
     ]
     least = min(like, key=lambda r: abs(r["force_n"]), default=best)
+    force, stretches = _force(best), f"{significant(best['stretch_1'])} and {significant(best['stretch_2'])}"
     if least is best:
-        return f"{text}."
+        return f"{who} direction {best['direction']} the force is {force}, at stretches {stretches}."
     ratio = abs(best["force_n"] / least["force_n"])
     return (
-        f"{text}: {significant(ratio, 2)} times the {_force(least)} at {significant(least['stretch_1'])} and"
+        f"{who} direction {best['direction']} the force is largest at stretches {stretches}, {force}:"
+        f" {significant(ratio, 2)} times the {_force(least)} at {significant(least['stretch_1'])} and"
         f" {significant(least['stretch_2'])}, where it is least."
     )
 
