@@ -21,6 +21,10 @@ from schemas.arrays import Complex, Float
 
 _LOWEST_HZ = 1e-6
 """Frequency below which a power law is constant, Hz."""
+_APART = "apart"
+"""Variant of a film whose temperature is not the one that is recorded beside it: a sensor in the air shows the room."""
+_MOST_SHIFT = 12.0
+"""Logarithm by which warming changes the relaxation times at most: beyond five decades a film rests or is rigid throughout."""
 _MOST_SOFTENING = 50.0
 """Logarithm by which warming changes the stiffness at most: a film whose main spring has vanished turns any amount into heat over that."""
 
@@ -46,14 +50,21 @@ def _power(values: Values, variant: str) -> Effect:
 
 
 def _warm(values: Values, variant: str) -> Effect:
-    per_kelvin, rise, tau, heating = (values[n] for n in ("per_kelvin", "rise_k", "time_constant_s", "self_heating_k"))
+    per_kelvin, rise, tau, heating, shift = (
+        values[n] for n in ("per_kelvin", "rise_k", "time_constant_s", "self_heating_k", "shift")
+    )
 
     def softer(film: Film, view: View) -> Film:
         supposed, until = (rise * -np.expm1(-t / tau) for t in (view.session_s, view.first_temperature_s))
         # A temperature that is recorded from the middle on counts from what was supposed until then.
-        warming = np.where(np.isfinite(view.temperature_k), view.temperature_k + until, supposed)
+        is_known = np.isfinite(view.temperature_k) & (variant != _APART)
+        warming = np.where(is_known, view.temperature_k + until, supposed)
         softening = per_kelvin * (warming + heating * _dissipated(film, view))
-        return Film(film.k * np.exp(np.clip(-softening, -_MOST_SOFTENING, _MOST_SOFTENING)), film.share)
+        softened = np.exp(np.clip(-softening, -_MOST_SOFTENING, _MOST_SOFTENING))
+        if view.shifted is not None:
+            faster = np.clip(-shift * softening, -_MOST_SHIFT, _MOST_SHIFT)
+            softened = softened * view.shifted(faster) / view.shifted(np.zeros((1, 1)))
+        return Film(film.k * softened, film.share)
 
     return Effect(film=(softer,)) if per_kelvin else Effect()
 
@@ -149,16 +160,19 @@ THERMAL_SOFTENING = Mechanism(
     stage="film",
     depends_on=("temperature", "session_time"),
     varies_with=("cycle",),
-    equation="k e^{−β ΔT}, ΔT measured, or first order in the session's time, and what the film dissipates in a recording",
-    source="thermal softening of elastomers, first order in the temperature",
+    equation="k(jω a) e^{−β ΔT}, ln a = −s β ΔT: time–temperature shift with softening; ΔT measured, or first order in the session's time, "
+    "and what the film dissipates in a recording",
+    source="time–temperature superposition, first order in the temperature (Williams, Landel and Ferry 1955)",
     parameters=(
         Parameter("per_kelvin", "1/K", "β", 0.001, 0.03, signed=True, least=-0.2, most=0.2),
         Parameter("self_heating_k", "K", "warming by a cycle of the largest strain whose loss is as large as k0", 1e-3, 0.1, SHAPE),
         Parameter("time_constant_s", "s", "time constant of the warming", 100.0, 3000.0, SHAPE),
+        Parameter("shift", "1", "s, logarithm by which relaxation times shorten over that by which the film softens", 0.1, 30.0, SHAPE),
         Parameter("rise_k", "K", "warming in the end where no temperature was recorded; only β × rise is known then", 5.0, 5.0, SHAPE, least=5.0, most=5.0),
     ),
     shows=MECHANICAL | ELECTRICAL,
     faint=("sphs", "step"),
+    variants=("recorded", _APART),
     confusable={
         "cyclic_softening": "rest recovers it, strain does not matter: repeat the first sweep in the end, or record temperature",
         "gain_error": "a gain is constant in time",

@@ -174,8 +174,10 @@ def compute_secants(fit: ExtendedFit, kinds: Set[str] | None = None) -> Secants:
         moved = of.simulation.predict(of.model, fit.theta, compose_chosen((*of.chosen, c), (*fit.values, own)))
         return np.asarray((moved - base) / part)
 
-    rows, chosen, values, weak = [], [], [], []
+    rows: list[Float] = []
+    chosen, values, weak = [], [], []
     opposite: dict[tuple[Chosen, tuple[float, ...]], Float] = {}
+    places: dict[tuple[object, ...], list[int]] = {}
     for c, own, part in make_grid(of, {c.id for c in of.chosen}):
         if kinds is not None and not c.mechanism.shows & kinds:
             continue
@@ -185,7 +187,12 @@ def compute_secants(fit: ExtendedFit, kinds: Set[str] | None = None) -> Secants:
             if part < 1 and _may_change_sign(c.mechanism, own):
                 row = (row + change(c, own, -part)) / 2
                 opposite[c, tuple(scale_severities(c.mechanism, own, -1.0).values())] = -row
-        if np.isfinite(row).all():
+        if not np.isfinite(row).all():
+            continue
+        # A variant that does here what an earlier one does is that one.
+        point = c.id, tuple(own.values()), part
+        if not any(np.array_equal(row, rows[i]) for i in places.get(point, ())):
+            places.setdefault(point, []).append(len(rows))
             rows.append(row)
             chosen.append(c)
             values.append(own)

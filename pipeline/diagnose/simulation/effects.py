@@ -53,6 +53,7 @@ class View:
     rest_force_n : tension before the recording, NaN where not known
     cycles_before, path_before : mechanical cycles of the recordings before this one, and their sum with the strain amplitude of each
     k0 : N/mm, main spring of the plain film, (B, 1, 1) of several at once
+    shifted : stiffness N/mm of the plain film, (1 or S, J), with all relaxation times multiplied by e^x, x broadcasts to that
     test : `sweep`, `cyclic`, `ramp`, `step` (of voltage) or `multisine`
     few : whether the frequencies are few nodes, which carry a resonance about as wide as one that is known and no narrower one
     """
@@ -76,6 +77,7 @@ class View:
     cycles_before: float | Float = 0.0
     path_before: float | Float = 0.0
     k0: float | Float = 1.0
+    shifted: Callable[[Float], Complex] | None = None
     few: bool = False
 
     def overtones(self) -> tuple[View, View, View]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -208,15 +208,31 @@ def channel(functions: Sequence[Factor], view: View) -> Complex | Float | float:
 def film_at(physical: Physical | Several, effect: Effect, view: View) -> Film:
     """The film at the frequencies of a view, (1 or S, J); several (B, 1 or S, J)."""
     if isinstance(physical, Several):
-        films, number = physical.films
-        film = Film(stiffnesses(films, view.frequency_hz)[number])
+        film = Film(_shift(physical, view, np.zeros((1, 1))))
     else:
         film = Film(_stiffness(physical.film, view))
     if effect.film:
-        view = replace(view, k0=physical.k0)
+        view = replace(view, k0=physical.k0, shifted=partial(_shift, physical, view))
     for change in effect.film:
         film = change(film, view)
     return film
+
+
+def _shift(physical: Physical | Several, view: View, log_times: Float) -> Complex:
+    """Stiffness N/mm of the linear film with its relaxation times multiplied by e^`log_times`, as at as many times the frequency; shape of
+    `film_at`.
+
+    Parameters
+    ----------
+    log_times : (1 or S, 1 or J), or of each of several films (B, 1 or S, 1 or J)
+    """
+    frequency = view.frequency_hz * np.exp(log_times)
+    if not isinstance(physical, Several):
+        return physical.film.stiffness(frequency)
+    films, number = physical.films
+    if frequency.ndim > 2:
+        return np.array([films[n].stiffness(own) for n, own in zip(number, frequency, strict=True)])
+    return np.asarray(stiffnesses(films, frequency)[number])
 
 
 @lru_cache(maxsize=128)
