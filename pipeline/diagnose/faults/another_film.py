@@ -80,8 +80,11 @@ def doubt_change(fault: Fault, as_one: Fitted, fit: PlainFit) -> Change:
 
 
 def list_unexplained(doubts: Sequence[Doubt], session: Session, evidence: Evidence) -> tuple[Doubt, ...]:
-    """The doubts about recordings that miss the others under the most probable explanation as well."""
+    """The doubts about recordings that miss the others under the most probable explanation as well, or that only a function without a name
+    brings together with them: it explains what one recording shows as well as another film does."""
     best = None if evidence.posterior is None else evidence.posterior.hypotheses[0]
+    if best is not None and best.region is not None and not best.causes:
+        return tuple(doubts)
     chi2, size = sum_by_recording(session, _residual(session, evidence, best))
     doubted = np.isin([r.recording_id for r in session.recordings], [id for d in doubts for id in d.recordings])
     if 2 * doubted.sum() > doubted.size:

@@ -3,7 +3,7 @@ the force is large, in another range."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +15,12 @@ from pipeline.diagnose.faults.fault import Correction, Fault
 from pipeline.diagnose.faults.fitted import fit_session
 from pipeline.diagnose.faults.levels import log_likelihood_of
 from pipeline.diagnose.faults.undo import scale_of
+from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.features.observed import FORCE_SWING
 from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.plain_fit import PlainFit, compute_deviations, make_bounds
-from pipeline.diagnose.simulation.parameters import ACTUATION
+from pipeline.diagnose.simulation.parameters import ACTUATION, PER_FORCE
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import minimise
@@ -36,6 +37,14 @@ _LEAST = 2 * _FLOOR
 """Logarithm of a change below which it is not looked for: twice the scatter that is always allowed for."""
 _LARGEST = 2.0
 """Logarithm of the largest change that is searched."""
+_SOFTEST, _PLACES = 1.2, 25
+"""Logarithm of the largest change of the springs that is looked for, and places from one to the other side."""
+_ALIKE = 4
+"""Places of a change that are fitted at most where the springs do not say at which it is."""
+_ROUGHLY, _STEPS = 25, 200
+"""Steps of that search at most, of every change and of the nearest: sweeps before it may say next to nothing of arms that later tests see."""
+_PROMISING = 0.2
+"""Share of χ² that the nearest change has to come down to after few steps, to be followed to its end."""
 _SCALE = "columns.force.scale"
 _RANGES = 1.5
 """Largest over least swing of the forces in a range at least: what depends on the strain would grow over it."""
@@ -72,13 +81,16 @@ def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: f
     fit : film and rig that most recordings agree on
     chi2 : of the session without a change, without the amplifier's share
     """
-    part = _find_part(session, simulation, fit)
-    if part is None:
+    tried = [
+        (part, fits, min(fits, key=lambda name: fits[name][0]))
+        for part in _list_parts(session, simulation, fit)
+        if (fits := _fit_changes(session, simulation, fit, part))
+    ]
+    if not tried:
         return None
-    rows = part.members[session.recording_of]
-    ways = {GAIN_ERROR.id: _rescale} if part.of_range else {ids.SPECIMEN_CHANGED: _tear, GAIN_ERROR.id: _rescale}
-    fits = {cause: _fit_change(session, simulation, fit, rows, part, change) for cause, change in ways.items()}
-    nearest = min(fits, key=lambda name: fits[name][0])
+    part, fits, nearest = min(tried, key=lambda t: t[1][t[2]][0])
+    if fits[nearest][0] < _PROMISING * chi2:
+        fits = {**fits, **_fit_changes(session, simulation, fit, part, _STEPS, [nearest])}
     before, chi2 = chi2, fits[nearest][0]
     fall = before - chi2
     odds = 0.5 * fall - float(np.log(max(fall, 2.0))) + float(np.log(RULES.fault.prior))
@@ -92,29 +104,27 @@ def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: f
     return _state_change(session, int(np.argmax(part.members)), fits, nearest, left)
 
 
-def merge_foreign(found: Sequence[Fault], session: Session) -> list[Fault]:
+def merge_foreign(found: Sequence[Fault], session: Session, doubted: Collection[str] = ()) -> list[Fault]:
     """Faults with those of foreign recordings as one where they are all of one film, and all that were made before, or from, one recording:
     the specimen was another from there on.
 
     Parameters
     ----------
     session : with all recordings, in the order of time
+    doubted : recordings that may be of another film as well, without being told as such
     """
     foreign = [f for f in found if f.cause == ids.FOREIGN_RECORDING]
-    names = {id for f in foreign for id in f.recordings}
+    if not foreign:
+        return list(found)
+    named = {id for f in foreign for id in f.recordings}
     tests = [r for r in session.recordings if r.loading != CALIBRATION]
-    is_foreign = np.array([r.recording_id in names for r in tests])
-    turns = np.flatnonzero(np.diff(is_foreign)) + 1
-    if len(names) < _FEWEST or turns.size != 1:
+    # Those that miss the others by less than a film does in most tests are of the other film where all of the others are.
+    ways = [w for names in (named | set(doubted), named) if (w := _split_at_one(tests, names)) is not None]
+    way = next((w for w in ways if w[1] <= RULES.fault.agrees), None)
+    if way is None:
         return list(found)
-    try:
-        together, _, fit = fit_session([r for r in tests if r.recording_id in names])
-    except NotIdentifiableError:
-        return list(found)
-    left = measure_left(together, count_chi2(together, fit.misfit))
-    if left > RULES.fault.agrees:
-        return list(found)
-    changed = tests[turns[0] :]
+    first, left = way
+    changed = tests[first:]
     probability = min(f.probability for f in foreign)
     corrections = tuple(
         Correction(r.recording_id, ids.SPECIMEN_CHANGED, "specimen_id", r.specimen_id, "", probability) for r in changed
@@ -129,6 +139,24 @@ def merge_foreign(found: Sequence[Fault], session: Session) -> list[Fault]:
         left_per_value=left,
     )
     return [f for f in found if f.cause != ids.FOREIGN_RECORDING] + [change]
+
+
+def _split_at_one(tests: Sequence[RecordingFeatures], names: Collection[str]) -> tuple[int, float] | None:
+    """Number of the first test after the one place that parts some from the others, and χ² per value that one film for these leaves; None where
+    there is no such place, or they cannot be asked by themselves.
+
+    Parameters
+    ----------
+    names : several of the tests
+    """
+    turns = np.flatnonzero(np.diff([r.recording_id in names for r in tests])) + 1
+    if len(names) < _FEWEST or turns.size != 1:
+        return None
+    try:
+        together, _, fit = fit_session([r for r in tests if r.recording_id in names])
+    except NotIdentifiableError:
+        return None
+    return int(turns[0]), measure_left(together, count_chi2(together, fit.misfit))
 
 
 def _state_range(session: Session, members: Bool, log_factor: float, left: float) -> Fault:
@@ -224,19 +252,32 @@ def shows_in_more_than_one_test(session: Session, members: Bool) -> bool:
     return bool(before & after) or len({x for _, x in before} & {x for _, x in after}) > 1
 
 
-def _find_part(session: Session, simulation: Simulation, fit: PlainFit) -> _Part | None:
-    """The last recordings, or those with the largest forces, whose scales differ most clearly from the others'; None without any."""
-    log, sd = _measure_scales(session, simulation, fit)
+def _list_parts(session: Session, simulation: Simulation, fit: PlainFit) -> list[_Part]:
+    """Recordings that may be, or be read, otherwise than the others: the last ones, or those with the largest forces, whose scales differ most
+    clearly from the others', and the last ones whose springs do."""
+    by_scale = _rank_parts(session, *_measure_scales(session, simulation, fit), by_range=True)[:1]
+    by_springs = _rank_parts(session, *_measure_springs(session, simulation, fit), by_range=False)
+    # Tests under voltage have no springs: among those between two others nothing says where the change is.
+    alike = [p for p in by_springs if p.left <= by_springs[0].left + 1][:_ALIKE]
+    chosen = by_scale + [p for p in alike if not any((p.members == q.members).all() for q in by_scale)]
+    return [p for p in chosen if abs(p.step) >= _LEAST]
+
+
+def _rank_parts(session: Session, log: Float, sd: Float, *, by_range: bool) -> list[_Part]:
+    """The parts of a session, the one first after which the recordings' scales are most nearly two values.
+
+    Parameters
+    ----------
+    log, sd : (R,) logarithms of scales with their standard deviations; NaN where unknown
+    by_range : whether parts by the size of the force are asked as well
+    """
     known = np.isfinite(log)
     swing = np.array([r.values.get(FORCE_SWING, np.nan) for r in session.recordings])
     electrical = np.array([r.loading == ELECTRICAL for r in session.recordings])
-    parts = [(np.arange(log.size) >= first, False) for first in np.flatnonzero(known)]
-    limits = np.unique(swing[known & np.isfinite(swing)])
-    parts += [
-        (np.asarray(swing >= limit), True)
-        for limit in limits
-        if limits[-1] > _RANGES * limit and not np.isnan(swing[known]).any()
-    ]
+    parts = [(np.arange(log.size) >= first, False) for first in range(1, log.size)]
+    if by_range and not np.isnan(swing[known]).any():
+        limits = np.unique(swing[known])
+        parts += [(np.asarray(swing >= limit), True) for limit in limits if limits[-1] > _RANGES * limit]
     found = []
     for members, of_range in parts:
         # Either loading has a scale of its own: what is on both sides of one of them tells. Over forces by voltage the voltage is another.
@@ -255,8 +296,27 @@ def _find_part(session: Session, simulation: Simulation, fit: PlainFit) -> _Part
         moved = np.linalg.lstsq(weighted, data, rcond=None)[0]
         left = float(np.sum((data - weighted @ moved) ** 2))
         found.append(_Part(members, float(moved[2]), (float(moved[0]), float(moved[1])), left, of_range))
-    best = min(found, key=lambda p: (p.left, p.of_range), default=None)
-    return None if best is None or abs(best.step) < _LEAST else best
+    return sorted(found, key=lambda p: (p.left, p.of_range))
+
+
+def _measure_springs(session: Session, simulation: Simulation, fit: PlainFit) -> tuple[Float, Float]:
+    """(R,) logarithm of the film's springs in each mechanical recording over those of the fit, and its standard deviation; NaN where unknown."""
+    places = np.linspace(-_SOFTEST, _SOFTEST, _PLACES)
+    moved = np.repeat(fit.theta[None], places.size, axis=0)
+    moved[:, [i for i, name in enumerate(fit.model.names) if name.startswith("log k")]] += places[:, None]
+    left = session.whiten((session.value - simulation.predict_several(fit.model, moved)).T).T ** 2
+    log = np.full(len(session.recordings), np.nan)
+    sd = np.full(log.size, np.inf)
+    for number, recording in enumerate(session.recordings):
+        chi2 = left[:, session.recording_of == number].sum(axis=1)
+        best = int(np.argmin(chi2))
+        if recording.loading == ELECTRICAL or not 0 < best < places.size - 1:
+            continue
+        slope, bend = (chi2[best + 1] - chi2[best - 1]) / 2, chi2[best + 1] - 2 * chi2[best] + chi2[best - 1]
+        if bend > 0:
+            step = places[1] - places[0]
+            log[number], sd[number] = places[best] - step * slope / bend, step * float(np.sqrt(2 / bend))
+    return log, sd
 
 
 def _measure_scales(session: Session, simulation: Simulation, fit: PlainFit) -> tuple[Float, Float]:
@@ -288,42 +348,90 @@ def _scale_force(session: Session, factor: float) -> Float:
     return np.concatenate(parts)
 
 
-Change = Callable[[Session, Simulation, PlainFit, Float, float], Float]
+Change = Callable[[Session, Simulation, PlainFit, Float, Float], Float]
 
 
-def _tear(session: Session, simulation: Simulation, fit: PlainFit, thetas: Float, change: float) -> Float:
-    """(B, N) features with a film of another width: its springs and the actuation change alike."""
+def _change_film(session: Session, simulation: Simulation, fit: PlainFit, thetas: Float, change: Float) -> Float:
+    """(B, N) features with a film whose springs change by one factor and, where it is known, its actuation by another: a tear takes as much off
+    both, a new clamping stretches the film."""
     moved = thetas.copy()
     for i, name in enumerate(fit.model.names):
-        if name.startswith("log k") or name == ACTUATION:
-            moved[:, i] += change
+        if name.startswith("log k"):
+            moved[:, i] += change[0]
+        elif name == ACTUATION:
+            moved[:, i] += change[1]
+        elif name == PER_FORCE:  # a stiffer film is strained less by a force
+            moved[:, i] *= np.exp(-change[0])
     return simulation.predict_several(fit.model, moved)
 
 
-def _rescale(session: Session, simulation: Simulation, fit: PlainFit, thetas: Float, change: float) -> Float:
+def _rescale(session: Session, simulation: Simulation, fit: PlainFit, thetas: Float, change: Float) -> Float:
     """(B, N) features with all of the force in proportion."""
-    return np.asarray(_scale_force(session, float(np.exp(change))) * simulation.predict_several(fit.model, thetas))
+    return np.asarray(_scale_force(session, float(np.exp(change[0]))) * simulation.predict_several(fit.model, thetas))
+
+
+def _fit_changes(
+    session: Session,
+    simulation: Simulation,
+    fit: PlainFit,
+    part: _Part,
+    most: int = _ROUGHLY,
+    causes: Collection[str] = (GAIN_ERROR.id, ids.SPECIMEN_CHANGED),
+) -> Mapping[str, tuple[float, float]]:
+    """Cause → χ² of the session with what it changes in a part, and the logarithm of the change.
+
+    Parameters
+    ----------
+    most : steps of each search
+    causes : those that are asked
+    """
+    rows = part.members[session.recording_of]
+    ways = {GAIN_ERROR.id: (_rescale, 1)}
+    if not part.of_range:
+        ways[ids.SPECIMEN_CHANGED] = _change_film, 1 + (ACTUATION in fit.model.names)
+    return {
+        cause: _fit_change(session, simulation, fit, rows, part, *way, most=most)
+        for cause, way in ways.items()
+        if cause in causes
+    }
 
 
 def _fit_change(
-    session: Session, simulation: Simulation, fit: PlainFit, rows: Bool, part: _Part, change: Change
+    session: Session,
+    simulation: Simulation,
+    fit: PlainFit,
+    rows: Bool,
+    part: _Part,
+    change: Change,
+    free: int,
+    *,
+    most: int,
 ) -> tuple[float, float]:
-    """χ² of the session with a change in some rows, and the logarithm of the change."""
+    """χ² of the session with a change in some rows, and the logarithm of the change, of a film of its springs.
+
+    Parameters
+    ----------
+    free : numbers that say what changed
+    most : steps of the search
+    """
     about = simulation.about(fit.model.physical(fit.theta))
 
     def residuals(several: Float) -> Float:
         found = []
         for x in several:
-            before = about.predict_several(fit.model, x[None, :-1])[0]
-            after = change(session, about, fit, x[None, :-1], float(x[-1]))[0]
+            before = about.predict_several(fit.model, x[None, :-free])[0]
+            after = change(session, about, fit, x[None, :-free], x[-free:])[0]
             data = session.whiten(session.value - np.where(rows, after, before))
-            found.append(np.concatenate([data, compute_deviations(fit.model, x[:-1])]))
+            found.append(np.concatenate([data, compute_deviations(fit.model, x[:-free])]))
         return np.array(found)
 
     low, high = make_bounds(fit.model)
     start = fit.theta.copy()
     for i, name in enumerate(fit.model.names):
         start[i] += part.offsets[0] if name.startswith("log k") else part.offsets[1] if name == ACTUATION else 0.0
-    start = np.append(np.clip(start, low, high), part.step)
-    found = minimise(residuals, start, np.append(low, -_LARGEST), np.append(high, _LARGEST))
-    return count_chi2(session, found.residual), float(found.x[-1])
+    furthest = np.full(free, _LARGEST)
+    start = np.concatenate([np.clip(start, low, high), np.full(free, part.step)])
+    found = minimise(residuals, start, np.append(low, -furthest), np.append(high, furthest), most=most)
+    # Of two changes that explain as much the one with fewer numbers is the likelier (Schwarz 1978).
+    spared = (free - 1) * float(np.log(max(session.size, 2)))
+    return count_chi2(session, found.residual) + spared, float(found.x[-free])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -32,6 +32,7 @@ from pipeline.diagnose.faults.peers import has_peer, list_peers
 from pipeline.diagnose.faults.predict import Suspect
 from pipeline.diagnose.faults.session_wide import (
     find_contradicting_lengths,
+    find_contradicting_units,
     find_stated_by_all,
     find_swapped_in_all,
     find_wrong_file,
@@ -95,14 +96,16 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
     swapped = find_swapped_in_all(recordings)
     if swapped is not None:
         return Checked(*fit_session(recordings), (swapped,))
-    levels = {r.recording_id: own for r, own in zip(recordings, _read(recordings), strict=True)}
+    levels = _read(recordings)
     recordings, found = find_stated_by_all(recordings, levels)
+    units = find_contradicting_units(recordings)
+    found += [] if units is None else [units]
     if any(f.bars for f in found):
         return Checked(*fit_session(recordings), tuple(found))
     explained = frozenset(id for f in found for id in f.recordings)
     lengths = find_contradicting_lengths(recordings) if not found else None
     found += [] if lengths is None else [lengths]
-    odd = suspects = frozenset(id for id, own in levels.items() if own.is_suspect) - explained
+    odd = suspects = _list_odd(levels) - explained
     if 2 * len(odd) >= len(recordings):
         suspects = frozenset()  # what most recordings have in common is asked of all of them
     fitted = _fit(recordings, suspects)
@@ -124,22 +127,31 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
         found.append(fault)
     outside, agreement = _find_outside(*fitted)
     change = None if agreement is None else find_another_rig(*fitted[:2], agreement)
-    if 2 * len(outside) > len(fitted[0].recordings):
-        outside, agreement = frozenset(), None  # what most of them miss is no film that the others have
     doubted: Change | None = None
     if change is None and (agreement is not None or len(suspects) > 1):
         change = _ask_change(recordings, fitted, agreement, suspects)
         if change is not None and agreement is not None and not suspects:
             doubted = _doubt_change(change, fitted, agreement)
+    if 2 * len(outside) > len(fitted[0].recordings):
+        outside, agreement = frozenset(), None  # what most of them miss is no film that the others have
     if change is not None:
         found.append(change)
-        odd, outside, agreement = odd - frozenset(change.recordings), frozenset(), None
+        # What is odd is so beside others of before the change, or of after it.
+        recordings = [r for r in recordings if r.recording_id not in change.recordings]
+        levels = _read(recordings)
+        odd = suspects = _list_odd(levels) - explained
+        outside, agreement = frozenset(), None
+        fitted = _fit(recordings, suspects, near=fitted[2]) or fitted
     doubts: list[Doubt] = []
     if odd or outside:
         faults, doubts = _judge_each(recordings, levels, fitted, agreement, odd, outside)
-        found = merge_foreign([*found, *faults], assemble_session(recordings) if suspects else fitted[0])
+        of_all = assemble_session(recordings) if suspects else fitted[0]
+        found = merge_foreign([*found, *faults], of_all, [id for d in doubts for id in d.recordings])
+        told = {id for f in found for id in f.recordings}
+        doubts = [d for d in doubts if not told.issuperset(d.recordings)]
     culprits = frozenset(id for f in found for id in f.recordings if f.sets_aside)
-    if culprits != {r.recording_id for r in recordings} - {r.recording_id for r in fitted[0].recordings}:
+    asked = {r.recording_id for r in recordings}
+    if culprits & asked != asked - {r.recording_id for r in fitted[0].recordings}:
         fitted = _fit(recordings, culprits, near=fitted[2]) or fitted
     if not culprits:
         sizes = find_wrong_sizes(fitted)
@@ -147,11 +159,16 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
     return Checked(*fitted, tuple(merge_lengths(found)), tuple(doubts), doubted)
 
 
-def _read(recordings: Sequence[RecordingFeatures]) -> Sequence[Levels]:
+def _read(recordings: Sequence[RecordingFeatures]) -> dict[str, Levels]:
     """Levels of each recording; calibrations have none."""
     tests = [r for r in recordings if r.loading != CALIBRATION]
     known = dict(zip((r.recording_id for r in tests), read_levels(tests), strict=True))
-    return [known.get(r.recording_id, Levels({}, False, 0.0, {})) for r in recordings]
+    return {r.recording_id: known.get(r.recording_id, Levels({}, False, 0.0, {})) for r in recordings}
+
+
+def _list_odd(levels: Mapping[str, Levels]) -> frozenset[str]:
+    """Recordings whose levels are not those of the others."""
+    return frozenset(id for id, own in levels.items() if own.is_suspect)
 
 
 def _refit(recordings: Sequence[RecordingFeatures], near: PlainFit | None) -> Fitted:

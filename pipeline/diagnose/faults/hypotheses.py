@@ -125,7 +125,8 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanisms: Mechanisms) ->
         yield Hypothesis(ids.FOREIGN_RIG, words, lambda: suspect.sound, prior, shows=frozenset({"rig"}))
     else:
         yield Hypothesis(SOUND, "", lambda: suspect.sound, 0.0)
-        if not suspect.is_electrical:
+        # A drive that lags in all tests under voltage looks like a rig of their own.
+        if not (suspect.is_electrical and mechanisms.as_delay > 0):
             yield Hypothesis(ids.FOREIGN_RIG, ANOTHER_RIG, None, prior, OF_RIG, own_chi2=lambda: suspect.own_rig_chi2)
     yield Hypothesis(MECHANISM, "", None, 0.0)
     size = _weigh_size(suspect, suspect.sound, RULES.fault.mechanism_scale)

@@ -19,6 +19,8 @@ from schemas.metadata import RigConstants
 STRAIN, RATE, DRIVE, TENSION, SENSED, LENGTH, ACTUATION = (
     "strain", "rate", "drive", "tension", "sensed", "length", "actuation",
 )  # fmt: skip
+REST_FORCE = "rest_force_n"
+"""The feature of a recording that is its tension before anything moves."""
 NOISE = "noise "
 """Before a quantity: the level of its noise."""
 _TOLD = "command"
@@ -119,7 +121,7 @@ def _read_one(recordings: Sequence[RecordingFeatures], number: int) -> Levels:
             found[name] = Level(ratio, sd)
     if RATE in found and own.protocol == "chirp":
         found[RATE] = _compare_sweeps(found[RATE].value, [r for r in others if r.protocol == own.protocol])
-    for name, key in ((TENSION, "rest_force_n"), (SENSED, "capacitance_rest_pf")):
+    for name, key in ((TENSION, REST_FORCE), (SENSED, "capacitance_rest_pf")):
         level = _compare_rest(own.values.get(key), [r.values[key] for r in others if key in r.values])
         if level is not None:
             found[name] = level
@@ -175,15 +177,15 @@ def _compare_rest(own: float | None, others: Sequence[float]) -> Level | None:
 def _compare_noise(own: RecordingFeatures, others: Sequence[RecordingFeatures]) -> dict[str, Level]:
     """Density of the noise of each channel against that of the same channel in the others."""
     found = {}
-    expected = {name: [_density(r)[name] for r in others if name in _density(r)] for name in _density(own)}
-    for name, value in _density(own).items():
+    expected = {name: [read_density(r)[name] for r in others if name in read_density(r)] for name in read_density(own)}
+    for name, value in read_density(own).items():
         known = [v for v in expected[name] if v > 0]
         if len(known) >= _FEWEST_OTHERS and value > 0:
             found[NOISE + name] = Level(0.5 * float(np.log(value / np.median(known))), RULES.fault.noise_sd)
     return found
 
 
-def _density(features: RecordingFeatures) -> dict[str, float]:
+def read_density(features: RecordingFeatures) -> dict[str, float]:
     """Noise per Hz by quantity."""
     density: dict[str, list[float]] = {}
     for n in features.noise:

@@ -14,7 +14,16 @@ from pipeline.diagnose.faults.agreement import LOUDEST, agrees, count_chi2, meas
 from pipeline.diagnose.faults.correct import write
 from pipeline.diagnose.faults.fault import Correction, Fault, say_times
 from pipeline.diagnose.faults.fitted import Fitted, fit_session
-from pipeline.diagnose.faults.levels import DRIVE, RATE, STRAIN, Levels, name_clamp, read_sweeps
+from pipeline.diagnose.faults.levels import (
+    DRIVE,
+    RATE,
+    REST_FORCE,
+    STRAIN,
+    Levels,
+    name_clamp,
+    read_density,
+    read_sweeps,
+)
 from pipeline.diagnose.faults.undo import scale_channels, stretch_clock
 from pipeline.diagnose.features.kinds import (
     CHIRP_RESPONSE,
@@ -51,6 +60,12 @@ _SIZES = (("film_thickness_mm", 1.0, 0.5), ("film_width_mm", -1.0, 0.3), ("relat
 """Sizes that the actuation follows: power of the measured over the promised one, and how often each is the one that is wrong."""
 _SIZE_SLIPS = (2.0, 0.5, 10.0, 0.1)
 """Slips of a size: of layers, halves and digits."""
+_UNIT_SLIPS = (1e3, 1e3 / GRAVITY_M_PER_S2, 1e3 * GRAVITY_M_PER_S2)
+"""Of forces in N beside such in mN, gf and kN, or kgf and mN, beside each other."""
+_REST_ALIKE = 0.25
+"""Logarithm by which the tension at rest differs within a session without another unit, for slips a hundred times as large."""
+_LEAST_OF_RANGE = 2e-3
+"""Share of a load cell's range below which nobody works on purpose: it is what its noise and its drift are."""
 _TRAVEL_SLIPS = (1e3, 1e-3, 10.0, 0.1, 25.4, 1 / 25.4)
 """True over recorded displacement where that is in metres, micrometres, centimetres or inches and called millimetres."""
 _VOLTAGE_SLIPS = (1e3, 1e-3, 100.0, 0.01, 10.0, 0.1, 2.0, 0.5)
@@ -156,6 +171,65 @@ def find_contradicting_lengths(recordings: Sequence[RecordingFeatures]) -> Fault
         tuple(corrections),
         sets_aside=False,
     )
+
+
+def find_contradicting_units(recordings: Sequence[RecordingFeatures]) -> Fault | None:
+    """Forces of some tests that are by a usual slip of a unit those of the others: at rest and in their noise.
+
+    One test among several is judged by itself; of as many as the others, or of two, the range of the load cell says which are wrong, or
+    nothing does.
+    """
+    tests = [r for r in recordings if r.values.get(REST_FORCE, 0.0) != 0]
+    if len(tests) < 2:
+        return None
+    tests.sort(key=lambda r: abs(r.values[REST_FORCE]))
+    rest = np.log([abs(r.values[REST_FORCE]) for r in tests])
+    split = int(np.argmax(np.diff(rest))) + 1
+    low, high = tests[:split], tests[split:]
+    if min(len(low), len(high)) == 1 < max(len(low), len(high)):
+        return None
+    ratio = float(np.median(rest[split:]) - np.median(rest[:split]))
+    noise = [[v for r in own if (v := read_density(r).get("force", 0.0)) > 0] for own in (low, high)]
+    louder = 0.5 * float(np.log(np.median(noise[1]) / np.median(noise[0]))) if all(noise) else ratio
+    slip, off = _find_nearest(ratio, _UNIT_SLIPS)
+    spread = max(float(np.ptp(part)) for part in (rest[:split], rest[split:]))
+    # Noise that is nearer to that of the others than to theirs in another unit is of the same unit.
+    if max(off, spread) > _REST_ALIKE or 2 * louder < np.log(slip):
+        return None
+    low_is_wrong = _judge_range(low, high)
+    ways = ((low, slip, low_is_wrong), (high, 1 / slip, 1 - low_is_wrong))
+    wrong, factor, share = max(ways, key=lambda way: (way[2], -len(way[0])))
+    corrections = tuple(
+        Correction(r.recording_id, ids.UNIT_SLIP, "columns.force.scale", "1", write(times), probability)
+        for own, times, probability in sorted(ways, key=lambda way: -way[2])
+        for r in own
+    )
+    words = f"the force of {_list_names(low)} is {significant(slip, 3)} times as small as that of {_list_names(high)}, at rest as in its noise"
+    certain = (
+        f"{words}: it is recorded {say_times(1 / factor)}"
+        if share > 1 / 2
+        else f"{words}: either may be in another unit"
+    )
+    names = tuple(r.recording_id for r in recordings if r in wrong)
+    return Fault(ids.UNIT_SLIP, names, RULES.fault.named, certain, corrections, sets_aside=False, bars=True)
+
+
+def _judge_range(low: Sequence[RecordingFeatures], high: Sequence[RecordingFeatures]) -> float:
+    """Probability that the smaller forces of two groups are the wrong ones, by the range of the load cell."""
+    ranges = [n for r in (*low, *high) if (n := r.rig.load_cell_range_n)]
+    if not ranges:
+        return 0.5
+    smallest, largest = (
+        max(abs(r.values[REST_FORCE]) + r.values.get(FORCE_SWING, 0.0) for r in own) / float(np.median(ranges))
+        for own in (low, high)
+    )
+    if largest > 1:
+        return 1 - RULES.fault.named
+    return RULES.fault.named if smallest < _LEAST_OF_RANGE else 0.5
+
+
+def _list_names(recordings: Sequence[RecordingFeatures]) -> str:
+    return ", ".join(r.recording_id for r in recordings)
 
 
 def find_stated_by_all(
