@@ -104,15 +104,17 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     verdict = judge_session(evidence)
     final = None if verdict == UNKNOWN else evidence.final
     held_out = None
-    if evidence.is_unnamed and evidence.function is not None:
-        held_out = predict_by_function(evidence.function)
-    elif final is not None:
+    if final is not None and not (evidence.is_unnamed and evidence.function is not None):
         held_out = predict_left_out(evidence.plain, final)
         if held_out is not None and any(c.mechanism.as_filed is None for c in final.of.chosen):
             # What predicts little of what it was not fitted to is not named without doubt; but for the rig's constants, which the plain
             # model moves as well, against its file.
-            evidence = replace(evidence, gain=held_out.gain)
+            evidence = evidence.learn_gain(held_out.gain)
             verdict = judge_session(evidence)
+            if verdict == UNKNOWN:
+                final = held_out = None
+    if evidence.is_unnamed and evidence.function is not None:
+        held_out = predict_by_function(evidence.function)
     # 9. What to measure next.
     proposal = _propose_recording(evidence) if verdict == AMBIGUOUS and not evidence.is_unnamed else None
     # 10. Numbers and words.

@@ -380,7 +380,7 @@ def _describe_patterns(evidence: Evidence) -> list[str]:
     found += [
         f"Most probable without a name: {_tell_region(h)}." for h in evidence.credible[:1] if h.region is not None
     ]
-    found += _describe_closest(evidence)
+    found += _describe_useless(evidence) if evidence.explains_nothing else _describe_closest(evidence)
     by_variable = sorted(left.variable_p.items(), key=lambda item: item[1])
     depends = [name_variable(name) for name, p in by_variable if p < told]
     if depends:
@@ -394,6 +394,16 @@ def _tell_region(hypothesis: Hypothesis) -> str:
         return hypothesis.name
     beside = " and ".join(quote_name(id) for id in hypothesis.beside)
     return hypothesis.region.region.text + (f", beside {beside}" if beside else "")
+
+
+def _describe_useless(evidence: Evidence) -> list[str]:
+    """The listed causes that fit best and predict nothing."""
+    listed = () if evidence.posterior is None else evidence.posterior.listed
+    names = " with ".join(quote_name(id) for id in listed[0].causes) if listed else "a listed cause"
+    return [
+        f"{capital(names)} fits best of the listed causes and is told as none: of the error in what was left out it removes"
+        f" {percent(max(evidence.gain, 0.0), 3)}."
+    ]
 
 
 def _describe_closest(evidence: Evidence) -> list[str]:

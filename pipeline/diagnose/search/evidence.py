@@ -5,7 +5,7 @@ Does not belong here: the verdict (`pipeline.diagnose.judge`), and its words (`p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from scipy.special import logsumexp
 
@@ -74,12 +74,26 @@ class Evidence:
         posterior = self.posterior
         return posterior is not None and (self.best is None or posterior.named_share < RULES.verdict.listed)
 
+    def learn_gain(self, gain: float) -> Evidence:
+        """The evidence with the held-out gain of the causes that it tells: those that predict next to nothing are hardly there."""
+        found = replace(self, gain=gain)
+        if not found.explains_nothing or self.posterior is None:
+            return found
+        return replace(found, posterior=self.posterior.doubt_listed(RULES.gain.listed_below))
+
+    @property
+    def explains_nothing(self) -> bool:
+        """Whether the causes that are told are known to predict next to nothing of parts that were left out."""
+        return self.gain < RULES.gain.least_told
+
     @property
     def sure(self) -> Hypothesis | None:
         """Listed causes that are as good as certain beside what has no name; None where there are none but the amplifier's lag, which
         is no cause of what the film shows.
         """
-        found = None if self.posterior is None or not self.is_unnamed else self.posterior.find_sure_beside()
+        if self.posterior is None or not self.is_unnamed or self.explains_nothing:
+            return None
+        found = self.posterior.find_sure_beside()
         lag = () if self.given is None else self.given.of.mechanism_ids
         return None if found is None or {*found.causes} <= {*lag} else found
 

@@ -222,6 +222,21 @@ class Posterior:
         """Probability that listed causes are all that there is."""
         return sum(self.probability[h.name] for h in self.listed)
 
+    def doubt_listed(self, most: float) -> Posterior:
+        """The posterior where listed causes are together no more probable than that, whatever the likelihood says.
+
+        Parameters
+        ----------
+        most : between 0 and 1
+        """
+        others = [h for h in self.hypotheses if not h.causes]
+        if self.named_share <= most or not others:
+            return self
+        sides = [float(logsumexp([h.log_joint for h in own])) for own in (self.listed, others)]
+        less = sides[0] - sides[1] - float(np.log(most / (1 - most)))
+        doubted = [replace(h, log_prior=h.log_prior - less) if h.causes else h for h in self.hypotheses]
+        return Posterior(tuple(rank_hypotheses(doubted)))
+
     def find_sure(self) -> tuple[Hypothesis, ...]:
         """The hypotheses of listed causes that are as good as certain, whatever is beside them: what has no name may be, and a cause of
         a hypothesis may stand for it. The most probable first; empty where no cause is certain.
