@@ -126,12 +126,7 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
         recordings, fitted, fault = late
         found.append(fault)
     outside, agreement = _find_outside(*fitted)
-    change = None if agreement is None else find_another_rig(*fitted[:2], agreement)
-    doubted: Change | None = None
-    if change is None and (agreement is not None or len(suspects) > 1):
-        change = _ask_change(recordings, fitted, agreement, suspects)
-        if change is not None and agreement is not None and not suspects:
-            doubted = _doubt_change(change, fitted, agreement)
+    change, doubted = _find_change(recordings, fitted, agreement, suspects)
     if 2 * len(outside) > len(fitted[0].recordings):
         outside, agreement = frozenset(), None  # what most of them miss is no film that the others have
     if change is not None:
@@ -202,6 +197,19 @@ def _find_outside(session: Session, simulation: Simulation, plain: PlainFit) -> 
         return frozenset(), None
     names = [r.recording_id for r in session.recordings]
     return frozenset(n for n, out in zip(names, found.outside, strict=True) if out), found
+
+
+def _find_change(
+    recordings: Sequence[RecordingFeatures], fitted: Fitted, agreement: Agreement | None, suspects: frozenset[str]
+) -> tuple[Fault | None, Change | None]:
+    """A rig or a film that was another from one recording on; with a change that the search for causes has to be asked about."""
+    other_rig = None if agreement is None else find_another_rig(*fitted[:2], agreement)
+    if other_rig is not None or (agreement is None and len(suspects) <= 1):
+        return other_rig, None
+    change = _ask_change(recordings, fitted, agreement, suspects)
+    if change is None or agreement is None or suspects:
+        return change, None
+    return change, _doubt_change(change, fitted, agreement)
 
 
 def _ask_change(

@@ -17,6 +17,8 @@ from pipeline.diagnose.simulation.session import Place, Session
 from schemas.arrays import Float, Int
 from schemas.places import WITHIN, is_beyond_noise
 
+_LEANS = 0.7
+"""Mean over root mean square of what is missed from which it is to one side."""
 _WORDS = {
     kinds.CHIRP_RESPONSE: "the response F/x₀ of the sweep",
     kinds.CHIRP_HARMONIC: "the harmonics of the force in the sweep",
@@ -172,14 +174,41 @@ def _write_statement(session: Session, m: _Measured, simulated: Float, is_beyond
         return _write_ring(subject, difference, sd, value)
     if p.block.kind == kinds.REST_HUM:
         return f"{subject}: there is more power at the mains' frequency than in its neighbourhood."
+    turn = _measure_turn(value, difference) if p.block.is_complex else None
+    if turn is not None:
+        angle, is_ahead = turn
+        lean = "" if is_ahead is None else f", simulated too {'early' if is_ahead else 'late'}"
+        return (
+            f"{subject} is missed by {_write_figure(angle)}° of its phase{lean}: {_write_figure(rms)} times the noise."
+        )
     size = float(np.sqrt(np.mean(value**2)))
     relative = float(np.sqrt(np.mean(difference**2)) / size) if size > 0 else float("nan")
     mean = float(np.mean(difference / sd))
     lean = ""
-    if abs(mean) > 0.7 * rms and not p.block.is_complex:
+    if abs(mean) > _LEANS * rms and not p.block.is_complex:
         lean = ", simulated too high" if mean * float(np.sign(np.mean(value))) > 0 else ", simulated too low"
     share = f"{_write_figure(100 * relative)} % of it" if relative < 3 else "more than there is"
     return f"{subject} is missed by {share}{lean}: {_write_figure(rms)} times the noise."
+
+
+def _measure_turn(value: Float, difference: Float) -> tuple[float, bool | None] | None:
+    """The mean phase in degrees by which a simulated response is turned, and whether it is ahead; None where more of what is missed is magnitude.
+
+    Parameters
+    ----------
+    value, difference : (2n,) real parts, then imaginary parts, of the response and of what the simulation adds to it
+    """
+    half = value.size // 2
+    measured, off = (x[:half] + 1j * x[half:] for x in (value, difference))
+    size = np.abs(measured)
+    if not half or not (size > 0).all() or np.sum(np.abs(off) ** 2) > np.sum(size**2):
+        return None
+    along = off * np.exp(-1j * np.angle(measured))
+    if np.sum(along.imag**2) <= np.sum(along.real**2):
+        return None
+    angle = np.degrees(np.angle(1 + off / measured))
+    whole, mean = float(np.sqrt(np.mean(angle**2))), float(np.mean(angle))
+    return whole, mean > 0 if abs(mean) > _LEANS * whole else None
 
 
 def _write_ring(subject: str, difference: Float, sd: Float, value: Float) -> str:
