@@ -12,6 +12,9 @@ from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 
 _FEWEST_CYCLES = 5.0
+"""Cycles of a ring at least that are worth a fit."""
+_LEAST_DECAY = 1e-6
+"""Share of the angular frequency by which a ring decays at least."""
 
 
 def rings(force: Float, where: str) -> list[tuple[int, int]]:
@@ -83,9 +86,16 @@ def damped_sinusoid(force: Float, interval: float) -> tuple[float, float, float,
         solution, *_ = np.linalg.lstsq(design, x, rcond=None)
         return np.asarray(x - design @ solution)
 
+    # A wave that is gone from one sample to the next, or loses nothing in a million cycles, is no ring.
+    turn = 2 * np.pi * rough
+    slowest, fastest = float(np.log(_LEAST_DECAY * turn)), -float(np.log(interval))
+    bounds = [0.5 * turn, slowest], [2 * turn, fastest]
+    begin = float(np.clip(np.log(decay), slowest + 1, fastest - 1))
     best = None
     for scale in (1.0, 0.997, 1.003):
-        found = least_squares(residual, [2 * np.pi * rough * scale, np.log(decay)], x_scale=[decay, 1.0], method="trf")
+        found = least_squares(
+            residual, [turn * scale, begin], x_scale=[np.exp(begin), 1.0], method="trf", bounds=bounds
+        )
         if best is None or found.cost < best.cost:
             best = found
     if best is None:
