@@ -19,6 +19,8 @@ _TOLD = 4
 """Explanations that a sentence tells where there are two or more others; more would not be read."""
 REMOVABLE = "of the squared error beyond the noise"
 """What a gain is a share of: χ² of the plain model on what was left out, less the number of its values."""
+_TELLS_NOTHING = 1.0
+"""Width of the interval of a gain from which it tells nothing: whatever may be removed lies in it."""
 _BY_RECORDINGS = 4.0
 """Fall of χ² from which on recordings show a cause by themselves; below it what is known of film and rig does."""
 STAGES = {"contact": "clamping of the film", "drift": "force while a recording lasts"}
@@ -113,8 +115,8 @@ def cause(diagnosis: Mapping[str, Any]) -> str:
 
 
 def tell_no_gain(diagnosis: Mapping[str, Any]) -> str:
-    """What it means that recordings which the fit has not seen are predicted no better with the cause, from a row of `diagnoses`; empty where
-    they are.
+    """What it means that recordings which the fit has not seen are not surely predicted better with the cause, from a row of `diagnoses`; empty
+    where they are.
 
     A cause may yet be sure: where the plain model follows the recordings as well, it does so with constants of film or rig that
     contradict what is known of them.
@@ -122,6 +124,9 @@ def tell_no_gain(diagnosis: Mapping[str, Any]) -> str:
     lower = diagnosis["gain_lower"]
     if diagnosis["gain"] is None or lower is None or lower > 0:
         return ""
+    upper = diagnosis.get("gain_upper")
+    if upper is not None and upper - lower > _TELLS_NOTHING:
+        return "Whether what the fit has not seen is predicted better with it these few recordings do not tell."
     no_better = "What the fit has not seen is predicted no better with it"
     before, after = diagnosis["chi2"], diagnosis["chi2_extended"]
     if before is None or after is None or before - after > _BY_RECORDINGS:

@@ -101,6 +101,8 @@ def test_a_cause_that_brings_no_gain_is_not_said_to_bring_one() -> None:
     assert tell_no_gain(row).startswith(f"{no_better}: the plain model follows these recordings too")
     assert tell_no_gain(row | {"chi2_extended": 1400.0}) == f"{no_better}."
     assert tell_no_gain(row | {"gain_lower": 0.002}) == ""
+    open_words = tell_no_gain(row | {"gain": 0.9999, "gain_lower": -1.0, "gain_upper": 1.0})
+    assert open_words.startswith("Whether"), "an interval from −100 to 100 %"
     assert tell_no_gain(row | {"gain": None, "gain_lower": None}) == ""
 
 
