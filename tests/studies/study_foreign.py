@@ -156,23 +156,21 @@ def is_fault_named(a: Answer) -> bool:
     """Whether the fault is named, with the recordings that it is in."""
     told = a.truth["fault"]
     own = [f for f in a.faults if f["id"] == told["id"]]
-    refusal = {DEAD_CHANNEL: f"{told['key']} is", CHANNELS_SWAPPED: "Force and displacement are in each other's place"}
-    if (
-        told["id"] in refusal
-        and told["recordings"] != "all"
-        and _is_refused(a, told["recordings"], refusal[told["id"]])
-    ):
-        return True
-    if not own:
-        return told["id"] in a.named and told["recordings"] == "all"
+    # A recording may be refused for what is wrong with it before the others are asked.
+    channel = str(told["key"]).partition(" ")[0]
+    refusal = {DEAD_CHANNEL: f"{channel} is", CHANNELS_SWAPPED: "Force and displacement are in each other's place"}
+    words = refusal.get(told["id"])
+    if not own and told["recordings"] == "all":
+        return told["id"] in a.named
     if told["recordings"] == "all":
         return True
-    return {name for f in own for name in f["recordings"]} == set(told["recordings"])
+    refused = {name for name in told["recordings"] if words is not None and _is_refused(a, name, words)}
+    return refused | {name for f in own for name in f["recordings"]} == set(told["recordings"])
 
 
-def _is_refused(a: Answer, recordings: Sequence[str], words: str) -> bool:
-    """Whether recordings were refused before the diagnosis, with words that name the fault."""
-    return all(any(name in text and words in text for text in a.refused) for name in recordings)
+def _is_refused(a: Answer, recording: str, words: str) -> bool:
+    """Whether a recording was refused before the diagnosis, with words that name the fault."""
+    return any(recording in text and words in text for text in a.refused)
 
 
 def is_correction_right(a: Answer) -> bool | None:

@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.foreign_rigs import Answer
 from tests.studies import __main__ as studies
-from tests.studies.study_foreign import is_correction_right
+from tests.studies.study_foreign import is_correction_right, is_fault_named
 
 FIT, SURVIVAL = (studies.about(studies.HERE / f"study_{name}.py") for name in ("fit", "survival"))
 
@@ -92,3 +92,23 @@ def test_a_proposal_is_scored_by_the_key_and_value_that_a_rig_declares(
     fault = {"id": "clock_drift", "recordings": ["b"], "key": told, "right_value": right}
     named = {"id": "clock_drift", "recordings": ["b"], "corrections": [[proposed[0], "1", proposed[1], 1.0]]}
     assert is_correction_right(Answer("rig", 1, "fault", {"fault": fault}, faults=(named,))) is is_right
+
+
+@pytest.mark.parametrize(
+    ("id", "key", "found", "refused", "is_right"),
+    [
+        ("dead_channel", "displacement of the recording", (), ("r2.mcap: r2: displacement is 0 mm in all samples",), True),
+        ("dead_channel", "displacement of the recording", (), ("r2.mcap: r2: force is 0 N in all samples",), False),
+        ("channels_swapped", "force<->displacement", ("r1",), ("r2: Force and displacement are in each other's place",), True),
+        ("channels_swapped", "force<->displacement", ("r1",), ("r2: the end is missing",), False),
+        ("channels_swapped", "force<->displacement", ("r1", "r2", "r3"), (), False),
+    ],
+)  # fmt: skip
+def test_a_recording_that_is_refused_for_its_fault_counts_as_named(
+    id: str, key: str, found: tuple[str, ...], refused: tuple[str, ...], is_right: bool
+) -> None:
+    recordings = ["r2"] if id == "dead_channel" else ["r1", "r2"]
+    fault = {"id": id, "key": key, "right_value": None, "recordings": recordings}
+    named = ({"id": id, "recordings": list(found), "corrections": []},) if found else ()
+    answer = Answer("rig", 1, "fault", {"fault": fault}, faults=named, refused=refused)
+    assert is_fault_named(answer) is is_right
