@@ -160,10 +160,8 @@ def is_fault_named(a: Answer) -> bool:
     channel = str(told["key"]).partition(" ")[0]
     refusal = {DEAD_CHANNEL: f"{channel} is", CHANNELS_SWAPPED: "Force and displacement are in each other's place"}
     words = refusal.get(told["id"])
-    if not own and told["recordings"] == "all":
-        return told["id"] in a.named
     if told["recordings"] == "all":
-        return True
+        return bool(own) or told["id"] in a.named
     refused = {name for name in told["recordings"] if words is not None and _is_refused(a, name, words)}
     return refused | {name for f in own for name in f["recordings"]} == set(told["recordings"])
 

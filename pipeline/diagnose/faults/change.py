@@ -81,14 +81,12 @@ def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: f
     fit : film and rig that most recordings agree on
     chi2 : of the session without a change, without the amplifier's share
     """
-    tried = [
-        (part, fits, min(fits, key=lambda name: fits[name][0]))
-        for part in _list_parts(session, simulation, fit)
-        if (fits := _fit_changes(session, simulation, fit, part))
-    ]
-    if not tried:
+    parts = _list_parts(session, simulation, fit)
+    if not parts:
         return None
-    part, fits, nearest = min(tried, key=lambda t: t[1][t[2]][0])
+    tried = [(part, _fit_changes(session, simulation, fit, part)) for part in parts]
+    part, fits = min(tried, key=lambda each: min(left for left, _ in each[1].values()))
+    nearest = min(fits, key=lambda name: fits[name][0])
     if fits[nearest][0] < _PROMISING * chi2:
         fits = {**fits, **_fit_changes(session, simulation, fit, part, _STEPS, [nearest])}
     before, chi2 = chi2, fits[nearest][0]
@@ -119,7 +117,8 @@ def merge_foreign(found: Sequence[Fault], session: Session, doubted: Collection[
     named = {id for f in foreign for id in f.recordings}
     tests = [r for r in session.recordings if r.loading != CALIBRATION]
     # Those that miss the others by less than a film does in most tests are of the other film where all of the others are.
-    ways = [w for names in (named | set(doubted), named) if (w := _split_at_one(tests, names)) is not None]
+    sets = dict.fromkeys(frozenset(names) for names in (named.union(doubted), named))
+    ways = (w for names in sets if (w := _split_at_one(tests, names)) is not None)
     way = next((w for w in ways if w[1] <= RULES.fault.agrees), None)
     if way is None:
         return list(found)
@@ -407,7 +406,8 @@ def _fit_change(
     *,
     most: int,
 ) -> tuple[float, float]:
-    """χ² of the session with a change in some rows, and the logarithm of the change, of a film of its springs.
+    """χ² of the session with a change in some rows, with what a second number that says it costs; and the logarithm of the change, of a film
+    that of its springs.
 
     Parameters
     ----------

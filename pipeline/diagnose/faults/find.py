@@ -126,7 +126,7 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
         recordings, fitted, fault = late
         found.append(fault)
     outside, agreement = _find_outside(*fitted)
-    change, doubted = _find_change(recordings, fitted, agreement, suspects)
+    change, doubted = _find_another_from_one_on(recordings, fitted, agreement, suspects)
     if 2 * len(outside) > len(fitted[0].recordings):
         outside, agreement = frozenset(), None  # what most of them miss is no film that the others have
     if change is not None:
@@ -199,7 +199,7 @@ def _find_outside(session: Session, simulation: Simulation, plain: PlainFit) -> 
     return frozenset(n for n, out in zip(names, found.outside, strict=True) if out), found
 
 
-def _find_change(
+def _find_another_from_one_on(
     recordings: Sequence[RecordingFeatures], fitted: Fitted, agreement: Agreement | None, suspects: frozenset[str]
 ) -> tuple[Fault | None, Change | None]:
     """A rig or a film that was another from one recording on; with a change that the search for causes has to be asked about."""

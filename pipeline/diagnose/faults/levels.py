@@ -177,9 +177,9 @@ def _compare_rest(own: float | None, others: Sequence[float]) -> Level | None:
 def _compare_noise(own: RecordingFeatures, others: Sequence[RecordingFeatures]) -> dict[str, Level]:
     """Density of the noise of each channel against that of the same channel in the others."""
     found = {}
-    expected = {name: [read_density(r)[name] for r in others if name in read_density(r)] for name in read_density(own)}
+    expected = [read_density(r) for r in others]
     for name, value in read_density(own).items():
-        known = [v for v in expected[name] if v > 0]
+        known = [v for density in expected if (v := density.get(name, 0.0)) > 0]
         if len(known) >= _FEWEST_OTHERS and value > 0:
             found[NOISE + name] = Level(0.5 * float(np.log(value / np.median(known))), RULES.fault.noise_sd)
     return found

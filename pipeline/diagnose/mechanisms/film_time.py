@@ -63,7 +63,7 @@ def _warm(values: Values, variant: str) -> Effect:
         softened = np.exp(np.clip(-softening, -_MOST_SOFTENING, _MOST_SOFTENING))
         if view.shifted is not None:
             faster = np.clip(-shift * softening, -_MOST_SHIFT, _MOST_SHIFT)
-            softened = softened * view.shifted(faster) / view.shifted(np.zeros((1, 1)))
+            softened = softened * view.shifted(faster)
         return Film(film.k * softened, film.share)
 
     return Effect(film=(softer,)) if per_kelvin else Effect()

@@ -53,7 +53,7 @@ class View:
     rest_force_n : tension before the recording, NaN where not known
     cycles_before, path_before : mechanical cycles of the recordings before this one, and their sum with the strain amplitude of each
     k0 : N/mm, main spring of the plain film, (B, 1, 1) of several at once
-    shifted : stiffness N/mm of the plain film, (1 or S, J), with all relaxation times multiplied by e^x, x broadcasts to that
+    shifted : stiffness of the plain film with all relaxation times multiplied by e^x over that without, (1 or S, J); x broadcasts to that
     test : `sweep`, `cyclic`, `ramp`, `step` (of voltage) or `multisine`
     few : whether the frequencies are few nodes, which carry a resonance about as wide as one that is known and no narrower one
     """

@@ -208,31 +208,35 @@ def channel(functions: Sequence[Factor], view: View) -> Complex | Float | float:
 def film_at(physical: Physical | Several, effect: Effect, view: View) -> Film:
     """The film at the frequencies of a view, (1 or S, J); several (B, 1 or S, J)."""
     if isinstance(physical, Several):
-        film = Film(_shift(physical, view, np.zeros((1, 1))))
+        films, number = physical.films
+        film = Film(stiffnesses(films, view.frequency_hz)[number])
     else:
         film = Film(_stiffness(physical.film, view))
     if effect.film:
-        view = replace(view, k0=physical.k0, shifted=partial(_shift, physical, view))
+        view = replace(view, k0=physical.k0, shifted=partial(_shift, physical, view, film.k))
     for change in effect.film:
         film = change(film, view)
     return film
 
 
-def _shift(physical: Physical | Several, view: View, log_times: Float) -> Complex:
-    """Stiffness N/mm of the linear film with its relaxation times multiplied by e^`log_times`, as at as many times the frequency; shape of
-    `film_at`.
+def _shift(physical: Physical | Several, view: View, plain: Complex, log_times: Float) -> Complex:
+    """Stiffness of the linear film with its relaxation times multiplied by e^`log_times`, as at as many times the frequency, over that of the
+    film as it is; shape of `film_at`.
 
     Parameters
     ----------
+    plain : N/mm, stiffness of the film as it is, as `film_at` has it
     log_times : (1 or S, 1 or J), or of each of several films (B, 1 or S, 1 or J)
     """
     frequency = view.frequency_hz * np.exp(log_times)
     if not isinstance(physical, Several):
-        return physical.film.stiffness(frequency)
+        return np.asarray(physical.film.stiffness(frequency) / plain)
     films, number = physical.films
     if frequency.ndim > 2:
-        return np.array([films[n].stiffness(own) for n, own in zip(number, frequency, strict=True)])
-    return np.asarray(stiffnesses(films, frequency)[number])
+        shifted = np.array([films[n].stiffness(own) for n, own in zip(number, frequency, strict=True)])
+    else:
+        shifted = stiffnesses(films, frequency)[number]
+    return np.asarray(shifted / plain)
 
 
 @lru_cache(maxsize=128)
