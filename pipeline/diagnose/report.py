@@ -41,6 +41,7 @@ from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
 from schemas.mechanisms import UNLISTED, quote_name
 from schemas.numbers import capital, percent
+from schemas.protocols import ELECTRICAL, MECHANICAL
 
 NO_COMMAND = "The command was not recorded: the amplifier's gain, lag and offset cannot be questioned."
 NORMAL_95 = 1.96
@@ -454,12 +455,12 @@ def _list_unaskable(session: Session) -> tuple[str, ...]:
         found.append(
             "The rig's constants (clamp mass, load-cell stiffness) are missing: the clamp cannot be told from the film."
         )
-    protocols = set(session.protocols)
-    if not protocols & {"sphs", "step"}:
+    loadings = {r.loading for r in session.recordings}
+    if ELECTRICAL not in loadings:
         found.append("No electrical test: causes in drive and actuation leave no trace.")
     elif not session.kinds & kinds.AMPLIFIER and not session.unasked:
         found.append(NO_COMMAND)
-    if protocols & {"sphs", "step"} and not protocols & {"chirp", "cyclic", "relaxation", "cycle"}:
+    if ELECTRICAL in loadings and MECHANICAL not in loadings:
         found.append("No mechanical test: the film's own dynamics rest on the electrical ones.")
     if not np.isfinite(session.states.temperature_k).any():
         found.append(

@@ -16,9 +16,9 @@
     [specimens.PA-1.geometry]              keys of the recording's metadata (film_length_mm, stretch_1, …)
     [specimens.PA-1.effects.rig_constants] a hidden effect: mechanism → parameters (see `effects`)
     [[recordings]]
-    test = "chirp"                         chirp, sphs, cyclic, cycle, pull, creep, step_mechanical, step_electrical,
-                                           step_closed_loop, isotonic, force_map, coating, tap, weight; parameters as the classes
-                                           there have
+    test = "chirp"                         chirp, chirp_electrical, sphs, cyclic, cycle, pull, creep, step_mechanical,
+                                           step_electrical, step_closed_loop, isotonic, force_map, coating, tap, weight;
+                                           parameters as the classes there have
     specimens = ["PA-1"]                   or rigs = ["shaker"] for tap and weight
     id = "{specimen}-chirp-{amplitude_mm}" braces hold a parameter, specimen, rig, test or n (number within the entry)
     sample_rate_hz = 2000                  of all channels of this test
@@ -62,6 +62,7 @@ from schemas.quantities import QUANTITIES
 TESTS: Mapping[str, type[Procedure]] = {
     "chirp": mechanical.Chirp,
     "sphs": electrical.Sphs,
+    "chirp_electrical": electrical.VoltageChirp,
     "cyclic": mechanical.Cyclic,
     "cycle": mechanical.Triangle,
     "pull": mechanical.Pull,

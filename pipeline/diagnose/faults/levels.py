@@ -120,7 +120,9 @@ def _read_one(recordings: Sequence[RecordingFeatures], number: int) -> Levels:
         if ratio is not None:
             found[name] = Level(ratio, sd)
     if RATE in found and own.protocol == "chirp":
-        found[RATE] = _compare_sweeps(found[RATE].value, [r for r in others if r.protocol == own.protocol])
+        found[RATE] = _compare_sweeps(
+            found[RATE].value, [r for r in others if (r.protocol, r.loading) == (own.protocol, own.loading)]
+        )
     for name, key in ((TENSION, REST_FORCE), (SENSED, "capacitance_rest_pf")):
         level = _compare_rest(own.values.get(key), [r.values[key] for r in others if key in r.values])
         if level is not None:

@@ -16,9 +16,8 @@ from pipeline.diagnose.features.kinds import (
     CAPACITANCE,
     CYCLIC_CAPACITANCE,
     REST_HUM,
-    SPHS_CAPACITANCE,
+    SENSED,
     SPHS_RESPONSE,
-    STEP_CAPACITANCE,
 )
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.plain_fit import PlainFit, carry_entries, make_bounds
@@ -96,7 +95,7 @@ def expect_actuation(fit: PlainFit, session: Session) -> PlainFit:
 
 def _list_unknown(model: BaseModel) -> tuple[str, ...]:
     """Kinds of features that depend on what a fit without such features knows nothing of."""
-    under_voltage = () if PER_FORCE in model.names else (SPHS_CAPACITANCE, STEP_CAPACITANCE)
+    under_voltage = () if PER_FORCE in model.names else tuple(SENSED)
     return under_voltage if PER_DISPLACEMENT in model.names else (*under_voltage, CYCLIC_CAPACITANCE)
 
 

@@ -31,7 +31,7 @@ from pipeline.diagnose.features.kinds import (
     FILED_RING_HZ,
     REST_INPUT,
     RING_HZ,
-    SPHS_RESPONSE,
+    UNDER_VOLTAGE,
     RecordingFeatures,
 )
 from pipeline.diagnose.features.observed import AMPLITUDE, FORCE_SWING, SEEN, STATED
@@ -317,7 +317,7 @@ def _measure_actuation(recording: RecordingFeatures) -> float | None:
     promised = recording.values.get("actuation_n_per_kv2")
     sizes = []
     for block in recording.blocks:
-        if block.kind == SPHS_RESPONSE:
+        if block.kind in UNDER_VOLTAGE:
             half = block.size // 2
             low = block.frequency_hz[:half] <= np.quantile(block.frequency_hz[:half], _BELOW_RESONANCE)
             sizes.append(np.median(np.hypot(block.value[:half], block.value[half:])[low]))

@@ -33,6 +33,9 @@ from pipeline.diagnose.features.kinds import (
     STEP_CAPACITANCE,
     STEP_FORCE,
     TAP_RING,
+    UNDER_VOLTAGE,
+    VOLTAGE_CHIRP_HARMONIC,
+    VOLTAGE_CHIRP_RESPONSE,
     WEIGHT_GAIN,
     FeatureBlock,
     RecordingFeatures,
@@ -41,13 +44,15 @@ from pipeline.diagnose.features.observed import AMPLITUDE, FORCE_SWING, SEEN, VO
 from schemas.arrays import Complex, Float
 from schemas.protocols import ELECTRICAL
 
-RESPONSES = frozenset({CHIRP_RESPONSE, CYCLIC_RESPONSE, SPHS_RESPONSE})
+RESPONSES = frozenset({CHIRP_RESPONSE, CYCLIC_RESPONSE}) | UNDER_VOLTAGE
 """Kinds of complex responses of the force, which a delay between the channels turns."""
 _OF_OUTPUT = frozenset(
     {
         CHIRP_RESPONSE,
         CHIRP_HARMONIC,
         CHIRP_LEVEL,
+        VOLTAGE_CHIRP_RESPONSE,
+        VOLTAGE_CHIRP_HARMONIC,
         CYCLIC_RESPONSE,
         CYCLIC_HARMONIC,
         CYCLIC_LEVEL,
@@ -113,6 +118,8 @@ def _scale_block(block: FeatureBlock, electrical: bool, factors: dict[str, float
     # What is simulated is a response times what the input was, and a drift of the output.
     by_name = {
         "piece_mm": given,
+        "piece_kv": voltage,
+        "piece_v": command,
         "profile_mm": abs(given),
         "input_mm": abs(given),
         "strain": given,

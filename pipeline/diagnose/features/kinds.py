@@ -31,6 +31,14 @@ SPHS_VOLTAGE = "sphs.voltage"
 """Voltage over command at the lines of the command, kV/V, complex."""
 SPHS_CAPACITANCE = "sphs.capacitance"
 """C/V² at the excited lines, pF/kV², complex."""
+VOLTAGE_CHIRP_RESPONSE = "electrical_chirp.response"
+"""−F/V² of one sweep of the voltage in bands, N/kV², complex."""
+VOLTAGE_CHIRP_HARMONIC = "electrical_chirp.harmonic"
+"""Second or third harmonic of −F in such a sweep, N, complex, phase relative to that multiple of the phase of V²."""
+VOLTAGE_CHIRP_CAPACITANCE = "electrical_chirp.capacitance"
+"""C/V² of such a sweep in bands, pF/kV², complex."""
+VOLTAGE_CHIRP_AMPLIFIER = "electrical_chirp.voltage"
+"""Voltage over command of such a sweep in bands, kV/V, complex."""
 CYCLIC_RESPONSE = "cyclic.response"
 """Fundamental of the force of a group of cycles over that of the displacement, N/mm, complex."""
 CYCLIC_HARMONIC = "cyclic.harmonic"
@@ -67,9 +75,13 @@ CALIBRATIONS = frozenset({TAP_RING, WEIGHT_GAIN})
 DRIFTING = frozenset({CHIRP_LEVEL, CYCLIC_LEVEL, STEP_FORCE, RELAXATION_FORCE, CYCLE_FORCE})
 """Kinds that a slow drift of the force shows in, smoothly over the record."""
 
-CAPACITANCE = frozenset({SPHS_CAPACITANCE, CYCLIC_CAPACITANCE, STEP_CAPACITANCE})
+UNDER_VOLTAGE = frozenset({SPHS_RESPONSE, VOLTAGE_CHIRP_RESPONSE})
+"""Kinds of responses −F/V²."""
+SENSED = frozenset({SPHS_CAPACITANCE, VOLTAGE_CHIRP_CAPACITANCE, STEP_CAPACITANCE})
+"""Kinds of capacitances under voltage."""
+CAPACITANCE = SENSED | {CYCLIC_CAPACITANCE}
 """Kinds of the sensing region: they are proportional to what it makes of a tension or a displacement."""
-AMPLIFIER = frozenset({SPHS_VOLTAGE, STEP_VOLTAGE})
+AMPLIFIER = frozenset({SPHS_VOLTAGE, VOLTAGE_CHIRP_AMPLIFIER, STEP_VOLTAGE})
 """Kinds that show what the amplifier makes of the command: no film and no rig changes them."""
 
 KINDS = (
@@ -80,6 +92,10 @@ KINDS = (
     SPHS_DETECTION,
     SPHS_VOLTAGE,
     SPHS_CAPACITANCE,
+    VOLTAGE_CHIRP_RESPONSE,
+    VOLTAGE_CHIRP_HARMONIC,
+    VOLTAGE_CHIRP_CAPACITANCE,
+    VOLTAGE_CHIRP_AMPLIFIER,
     CYCLIC_RESPONSE,
     CYCLIC_HARMONIC,
     CYCLIC_LEVEL,

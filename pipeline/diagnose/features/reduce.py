@@ -16,6 +16,7 @@ from pipeline.diagnose.features.records import strain_length_mm
 from pipeline.diagnose.features.rest import calibration_blocks, hum_block
 from pipeline.diagnose.features.sphs import sphs_blocks
 from pipeline.diagnose.features.step import step_blocks
+from pipeline.diagnose.features.voltage_chirp import voltage_chirp_blocks
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.nodes import response_nodes
 from pipeline.physics.film import EPSILON_0_N_PER_KV2
@@ -30,6 +31,7 @@ Reducer = Callable[[Recording, Float], tuple[list[FeatureBlock], list[NoiseSampl
 
 _REDUCERS: dict[tuple[str, str], Reducer] = {
     ("chirp", MECHANICAL): chirp_blocks,
+    ("chirp", ELECTRICAL): voltage_chirp_blocks,
     ("cyclic", MECHANICAL): cyclic_blocks,
     ("step", MECHANICAL): relaxation_blocks,
     ("cycle", MECHANICAL): cycle_blocks,

@@ -7,7 +7,18 @@ from collections.abc import Mapping
 import numpy as np
 
 from pipeline.diagnose.features import kinds
-from pipeline.diagnose.mechanisms.mechanism import CYCLES, RAMPS, SHAPE, SWEEPS, Context, Mechanism, Parameter, Values
+from pipeline.diagnose.mechanisms.mechanism import (
+    CYCLES,
+    RAMPS,
+    SHAPE,
+    SPHS_FORCE,
+    SWEEPS,
+    VOLTAGE_CHIRPS,
+    Context,
+    Mechanism,
+    Parameter,
+    Values,
+)
 from pipeline.diagnose.simulation.effects import BySize, Course, Effect
 from pipeline.physics.film import arm_step
 from schemas.arrays import Complex, Float
@@ -168,7 +179,7 @@ CLAMP_SLIP = Mechanism(
         Parameter("hardening", "1", "holding spring over the film's k0", 0.03, 3.0, SHAPE),
         Parameter("creep_s", "s", "time in which an excess would slip against k0 alone", 1e-3, 0.3, SHAPE, least=1e-6),
     ),
-    shows=SWEEPS | CYCLES | RAMPS | {kinds.SPHS_RESPONSE, kinds.SPHS_DETECTION, kinds.STEP_FORCE},
+    shows=SWEEPS | CYCLES | RAMPS | SPHS_FORCE | VOLTAGE_CHIRPS | {kinds.STEP_FORCE},
     faint=("sphs", "step"),
     confusable={
         "amplitude_softening": "that is smooth and leaves the phase; slip raises it beyond a threshold",

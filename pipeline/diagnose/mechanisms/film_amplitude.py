@@ -15,6 +15,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
     SHAPE,
     SPHS_FORCE,
     SWEEPS,
+    VOLTAGE_CHIRPS,
     Context,
     Mechanism,
     Parameter,
@@ -23,7 +24,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
 from pipeline.diagnose.simulation.effects import BySize, Course, Effect, Film, View
 from schemas.arrays import Float
 
-_BENT = SWEEPS | CYCLES | RAMPS | SPHS_FORCE | {kinds.STEP_FORCE}
+_BENT = SWEEPS | CYCLES | RAMPS | SPHS_FORCE | VOLTAGE_CHIRPS | {kinds.STEP_FORCE}
 
 
 def _amplitude(course: Course) -> Float:

@@ -28,9 +28,9 @@ from pipeline.diagnose.features.kinds import (
 )
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.mechanisms.mechanism import CYCLES, RAMPS, SPHS_FORCE, STEP_SENSED, SWEEPS, Mechanism
-from pipeline.diagnose.simulation.electrical import follow_voltage
 from pipeline.diagnose.simulation.parameters import Physical
 from pipeline.diagnose.simulation.session import Session
+from pipeline.diagnose.simulation.voltage_waves import follow_voltage
 from pipeline.physics import excitation
 from pipeline.physics.rig import TONNES_PER_KG
 from schemas.arrays import Complex, Float

@@ -18,7 +18,7 @@ from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.form_functions import WIDTHS, compute_columns
 from pipeline.diagnose.search.likelihood import Groups, Linearised, find_absorbed, find_peak
 from pipeline.diagnose.search.posterior import RegionFit
-from pipeline.diagnose.simulation.session import Place, Session
+from pipeline.diagnose.simulation.session import Place, Session, name_test
 from pipeline.diagnose.simulation.simulation import Simulation
 from schemas.arrays import Float, Int
 from schemas.errors import NotIdentifiableError
@@ -234,16 +234,10 @@ def list_supporting_protocols(plain: ExtendedFit, extended: ExtendedFit) -> tupl
     before, after = plain.misfit, extended.misfit
     fall: dict[str, float] = {}
     for p in session.places:
-        name = name_protocol(session, p.recording)
+        name = name_test(session.recordings[p.recording])
         own = slice(p.first, p.stop)
         fall[name] = fall.get(name, 0.0) + float(np.sum(before[own] ** 2) - np.sum(after[own] ** 2))
     return tuple(name for name in session.protocols if fall.get(name, 0.0) > RULES.gain.supports)
-
-
-def name_protocol(session: Session, recording: int) -> str:
-    """The protocol of a recording, by its number; a mechanical step is `relaxation`."""
-    r = session.recordings[recording]
-    return "relaxation" if (r.protocol, r.loading) == ("step", "mechanical") else r.protocol
 
 
 def _compute_rms(squares: Sequence[float], size: int) -> float:
@@ -262,7 +256,7 @@ def _choose_parts(asked: _Asked) -> list[_Part]:
     session, touched = asked.session, asked.touched
     by_protocol: dict[str, list[int]] = {}
     for i, p in enumerate(session.places):
-        by_protocol.setdefault(name_protocol(session, p.recording), []).append(i)
+        by_protocol.setdefault(name_test(session.recordings[p.recording]), []).append(i)
     shows = [name for name, blocks in by_protocol.items() if touched[blocks].sum() > RULES.gain.shows]
     parts: list[_Part] = []
     for name in shows:

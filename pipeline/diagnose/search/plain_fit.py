@@ -21,10 +21,9 @@ from pipeline.diagnose.features.kinds import (
     CYCLIC_LEVEL,
     CYCLIC_RESPONSE,
     RELAXATION_FORCE,
-    SPHS_CAPACITANCE,
-    SPHS_RESPONSE,
-    STEP_CAPACITANCE,
+    SENSED,
     TAP_RING,
+    UNDER_VOLTAGE,
     WEIGHT_GAIN,
 )
 from pipeline.diagnose.rules import RULES
@@ -228,9 +227,7 @@ def choose_sensing(session: Session, simulation: Simulation, model: BaseModel, t
     session, simulation : with all features
     model, theta : the plain model at the film and the rig of the mechanical tests (P,)
     """
-    own = np.concatenate(
-        [np.full(p.block.size, p.block.kind in (STEP_CAPACITANCE, SPHS_CAPACITANCE)) for p in session.places]
-    )
+    own = np.concatenate([np.full(p.block.size, p.block.kind in SENSED) for p in session.places])
     if not own.any():
         return model
 
@@ -250,7 +247,7 @@ def choose_sensing(session: Session, simulation: Simulation, model: BaseModel, t
 def _responds_to_motion(session: Session) -> bool:
     """Whether the features say how stiff the film is by themselves, without what the voltage does to it."""
     kinds = session.kinds
-    return bool(kinds & {CHIRP_RESPONSE, CYCLIC_RESPONSE}) or (RELAXATION_FORCE in kinds and SPHS_RESPONSE not in kinds)
+    return bool(kinds & {CHIRP_RESPONSE, CYCLIC_RESPONSE}) or (RELAXATION_FORCE in kinds and not kinds & UNDER_VOLTAGE)
 
 
 def refit_plain(
@@ -491,7 +488,7 @@ def measure_roughness(session: Session, ratio: float = 1.0) -> float:
 def _append_electrical(session: Session, frequencies: list[Float], stiffness: list[Complex], ratio: float) -> None:
     """The same from electrical responses, with the actuation that the geometry promises; the order of magnitude is what counts."""
     for p in session.places:
-        if p.block.kind != SPHS_RESPONSE:
+        if p.block.kind not in UNDER_VOLTAGE:
             continue
         n = p.block.size // 2
         f, h = p.block.frequency_hz[:n], p.block.value[:n] + 1j * p.block.value[n:]

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.diagnose.features.kinds import SPHS_RESPONSE, STEP_FORCE
+from pipeline.diagnose.features.kinds import STEP_FORCE, UNDER_VOLTAGE
 from pipeline.diagnose.simulation.effects import Course, Effect, Factor, Film, Reading, View, Wave
 from pipeline.diagnose.simulation.session import Session
 from pipeline.physics.rig import Rig
@@ -406,9 +406,9 @@ def _measure_rate(wave: Wave) -> Float:
 def _measure_actuation(session: Session) -> float:
     """Largest force by voltage of a session, N."""
     found = [
-        np.abs(p.block.value).max() * (session.scale.voltage_kv**2 if p.block.kind == SPHS_RESPONSE else 1.0)
+        np.abs(p.block.value).max() * (session.scale.voltage_kv**2 if p.block.kind in UNDER_VOLTAGE else 1.0)
         for p in session.places
-        if p.block.kind in (SPHS_RESPONSE, STEP_FORCE) and p.block.size
+        if p.block.kind in UNDER_VOLTAGE | {STEP_FORCE} and p.block.size
     ]
     return float(max(found, default=1.0))
 

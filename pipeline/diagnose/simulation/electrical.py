@@ -1,10 +1,7 @@
 """Prediction of voltage steps and multisines: H = −F/V² and the capacitance, from the voltage that was measured.
 
-    H = g a/(1 + (−Mω² + jωcL)/kL + k/kL),      ΔC/V² = −κ (k0/k)^e (1 + (−Mω² + jωcL)/kL) H
-
-The sensing part in series carries the film's tension, so that its strain is tension over k, with e = 1 where it is of the same material
-and electrodes do not hinder it; κ is pF/N at rest. Effects on the
-voltage act on the waveform (one stored period, or the plateaus of steps) before its square reaches the film.
+The responses are those of `voltage_waves`. Effects on the voltage act on the waveform (one stored period, or the plateaus of steps)
+before its square reaches the film.
 """
 
 from __future__ import annotations
@@ -15,20 +12,30 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.diagnose.features.kinds import SPHS_CAPACITANCE, SPHS_DETECTION, SPHS_VOLTAGE
-from pipeline.diagnose.simulation.describing import SLOPES, Loads, along
-from pipeline.diagnose.simulation.effects import NONE, Course, Edge, Effect, View, Wave, bent
-from pipeline.diagnose.simulation.families import Family, channel, dynamic, film_at, rig_of, state_view
-from pipeline.diagnose.simulation.parameters import STRAIN, STRESS, Physical, Several
+from pipeline.diagnose.simulation.describing import Loads, along
+from pipeline.diagnose.simulation.effects import NONE, Course, Edge, Effect, Wave, bent
+from pipeline.diagnose.simulation.families import Family, channel, rig_of, state_view
+from pipeline.diagnose.simulation.parameters import Physical, Several
 from pipeline.diagnose.simulation.remembered import Inputs
 from pipeline.diagnose.simulation.session import Place, Session
-from pipeline.physics.rig import Rig
+from pipeline.diagnose.simulation.voltage_waves import (
+    CAPACITANCE,
+    FORCE,
+    ROUNDS,
+    SETTLED,
+    VOLTAGE,
+    VoltageWaves,
+    acts_on_voltage,
+    electrical_response,
+    find_lines,
+    measure_slope,
+    pick_up,
+    squared,
+)
 from schemas.arrays import Complex, Float, Int
 
-_ROUNDS, _SETTLED = 8, 1e-3
-"""Rounds in which tension and clamp come into balance, at most; relative change of the tension that is none."""
-FORCE, CAPACITANCE, VOLTAGE = "force", "capacitance", "voltage"
 STEP, MULTISINE = "step", "multisine"
-_INPUTS = {
+INPUTS = {
     FORCE: Inputs.named(
         "film rigs actuation",
         "film_voltage film_edges squared actuation electrode film tension rig clamp force voltage reading picked_up",
@@ -41,59 +48,12 @@ _INPUTS = {
 }
 
 
-def electrical_response(
-    physical: Physical | Several, effect: Effect, rig_number: int, view: View, output: str
-) -> Complex:
-    """H, ΔC/V² or V/command at the frequencies of a view, (1 or S, J); the square of the voltage is that measured. Of several at once
-    (B, 1 or S, J)."""
-    if output == VOLTAGE:
-        gain = physical.amplifier[rig_number] * np.ones((1, view.frequency_hz.shape[1]), dtype=complex)
-        return np.asarray(gain * channel(effect.monitor, view) * channel(effect.voltage, view))
-    rig = rig_of(physical, rig_number, effect)
-    film = film_at(physical, effect, view)
-    own = dynamic(rig, view, effect, film.k)
-    drive = physical.actuation * film.share * channel(effect.actuation, view) / channel(effect.voltage, view) ** 2
-    drive = drive * channel(effect.electrode, view)
-    response = drive / rig.loaded(film.k, own)
-    if output == FORCE:
-        return np.asarray(rig.gain * response * channel(effect.force, view))
-    sensed = -physical.pf_per_n * follow_voltage(physical, film.k, own * response, np.asarray(drive, dtype=complex))
-    return np.asarray(sensed * channel(effect.capacitance, view) * channel(effect.electrode, view))
-
-
-def follow_voltage(physical: Physical | Several, k: Complex, tension: Complex, stress: Complex | float) -> Complex:
-    """What the sensing region follows, as the tension at rest would be: N/kV², shape of the film's stiffness `k` N/mm.
-
-    Parameters
-    ----------
-    tension, stress : of the film and of the voltage, over the square of the voltage, N/kV²
-    """
-    if physical.sensing == STRESS:
-        return np.asarray(stress * np.ones_like(k))
-    return np.asarray(tension * physical.k0 / k if physical.sensing == STRAIN else tension)
-
-
-def squared(effect: Effect, wave: Wave) -> Float:
-    """What acts on the film in place of the square of the measured voltage, (S, W)."""
-    for change in effect.film_voltage:
-        wave = change(wave)
-    wave = replace(wave, squared=wave.film_kv**2)
-    for change in effect.squared:
-        wave = change(wave)
-    return wave.squared
-
-
-def pick_up(effect: Effect, wave: Wave) -> Float:
-    """Force N that the channel picks up from the measured voltage, (S, W)."""
-    return np.asarray(sum((add(wave) for add in effect.picked_up), np.zeros_like(wave.film_kv)))
-
-
 class StepFamily(Family):
     """Blocks of voltage steps with one output: force, capacitance or voltage."""
 
     def __init__(self, session: Session, places: Sequence[Place], nodes: Float, output: str) -> None:
         super().__init__(session, places, nodes, STEP)
-        self.output, self.inputs = output, _INPUTS[output]
+        self.output, self.inputs = output, INPUTS[output]
         self._on = np.concatenate([p.block.support["side"] > 0 for p in self.places])
         level = np.zeros(self.states.size)
         for p in self.places:
@@ -110,7 +70,7 @@ class StepFamily(Family):
     def of_spectra(self, physical: Physical | Several, effect: Effect) -> Float:
         """Features (rows,) without elements and readings; of several at once (B, rows)."""
         response = electrical_response(physical, effect, self.rig, self.view, self.output)
-        if self.output != VOLTAGE and (effect.film_voltage or effect.squared):
+        if self.output != VOLTAGE and acts_on_voltage(effect):
             response = response * self._drive_factor(effect)[:, None]
         edges = effect.monitor_edges if self.output == VOLTAGE else effect.film_edges
         if edges:
@@ -197,7 +157,7 @@ class MultisineFamily:
         self.session, self.places = session, tuple(places)
         self.kind = places[0].block.kind
         self.output = {SPHS_CAPACITANCE: CAPACITANCE, SPHS_VOLTAGE: VOLTAGE}.get(self.kind, FORCE)
-        self.inputs = _INPUTS[self.output]
+        self.inputs = INPUTS[self.output]
         self.rig = int(session.rig[places[0].recording])
         self.rows = np.concatenate([np.arange(p.first, p.stop) for p in places])
         n = places[0].block.size // 2
@@ -205,67 +165,50 @@ class MultisineFamily:
         self._lines = support["lines"].astype(np.int64)
         self._excited = support.get("excited", support["lines"]).astype(np.int64)
         self._period = float(support["period_s"][0])
-        self._wave = np.array([p.block.support["wave"] for p in places])
-        self._measured = _lines(self._wave**2)
+        wave = np.array([p.block.support["wave"] for p in places])
         if self.output == VOLTAGE:
             self._command = np.array([p.block.support["command"] for p in places])
-            self._asked = _lines(self._command)
-        self._squares = session.recordings[places[0].recording].loading == "electrical"
+            self._asked = find_lines(self._command)
         number = np.array([p.state for p in places])
         frequency = places[0].block.frequency_hz[None, :n]
         self.view = state_view(session, number, frequency, MULTISINE, strain=np.zeros((number.size, 1)))
-        every = np.arange(self._measured.shape[1]) / self._period
-        self._at_lines = replace(self.view, frequency_hz=every[None, :])
+        self._waves = VoltageWaves.of_period(wave, self._period, self.rig, self.view)
 
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family."""
         if loads is None or not (effect.tension or effect.reading) or self.output != FORCE:
             return self.of_spectra(physical, effect)
-        acting, picked = self._acting(effect), self._pick_up(effect)
-        extra = self._bent(physical, effect, loads, acting)
+        acting, picked = self._waves.find_acting(effect), self._waves.pick_up(effect)
+        extra = self._waves.bend(physical, effect, loads, acting)
         return self._features(physical, effect, acting, extra if picked is None else extra + picked)
 
     def of_spectra(self, physical: Physical | Several, effect: Effect) -> Float:
         """Features (rows,) without elements and readings; of several at once (B, rows)."""
         if self.output == VOLTAGE:
             return self._amplified(physical, effect)
-        return self._features(physical, effect, self._acting(effect), self._pick_up(effect))
-
-    def _pick_up(self, effect: Effect) -> Complex | None:
-        """(S, L) lines of what the force's channel picks up from the voltage, as it adds to −F; None: nothing."""
-        if self.output != FORCE or not effect.picked_up:
-            return None
-        interval = self._period / self._wave.shape[1]
-        return -_lines(pick_up(effect, Wave(self._wave, self._wave**2, interval, self.session.scale)))
-
-    def _acting(self, effect: Effect) -> Complex:
-        """(S, L) lines of what acts on the film in place of the square of the measured voltage."""
-        if not _nonlinear(effect):
-            return self._measured
-        interval = self._period / self._wave.shape[1]
-        return _lines(squared(effect, Wave(self._wave, self._wave**2, interval, self.session.scale)))
+        return self._features(physical, effect, self._waves.find_acting(effect), self._waves.pick_up(effect))
 
     def _features(self, physical: Physical | Several, effect: Effect, acting: Complex, extra: Complex | None) -> Float:
         """Features (..., rows) of what acts, and of what elements, readings and the voltage itself add to it, (S, L)."""
-        nonlinear = _nonlinear(effect)
+        nonlinear = acts_on_voltage(effect)
         if self.kind == SPHS_DETECTION and not nonlinear and extra is None:
             return np.zeros((*np.shape(physical.k0)[:1], self.rows.size))
         response = electrical_response(physical, effect, self.rig, self.view, self.output)
         response = np.broadcast_to(response, (*response.shape[:-2], len(self.places), self._lines.size))
         if self.kind == SPHS_DETECTION:
-            given = self._measured[:, self._lines]
+            given = self._waves.measured[:, self._lines]
             value = response * (acting[:, self._lines] - self._near(acting) * given)
             if extra is not None:
                 lines = self._excited
                 value = value + extra[:, self._lines]
-                share = extra[:, lines] / self._measured[:, lines]
+                share = extra[:, lines] / self._waves.measured[:, lines]
                 value = value - _interpolated(self._lines, lines, share) * given
         else:
             value = np.array(response)
             if nonlinear:
-                value = value * acting[:, self._lines] / self._measured[:, self._lines]
+                value = value * acting[:, self._lines] / self._waves.measured[:, self._lines]
             if extra is not None:
-                value = value + extra[:, self._lines] / self._measured[:, self._lines]
+                value = value + extra[:, self._lines] / self._waves.measured[:, self._lines]
         return _flattened(value)
 
     def _amplified(self, physical: Physical | Several, effect: Effect) -> Float:
@@ -277,83 +220,13 @@ class MultisineFamily:
             wave = Wave(asked, asked**2, self._period / asked.shape[1], self.session.scale)
             for change in effect.monitor_wave:
                 wave = change(wave)
-            value = _lines(wave.film_kv)[:, self._lines] / self._asked[:, self._lines]
+            value = find_lines(wave.film_kv)[:, self._lines] / self._asked[:, self._lines]
         return _flattened(value * channel(effect.voltage, self.view))
 
     def _near(self, acting: Complex) -> Complex:
         """Ratio of what acts to what was measured at the excited lines, at the others."""
         lines = self._excited
-        return _interpolated(self._lines, lines, acting[:, lines] / self._measured[:, lines])
-
-    def _bent(self, physical: Physical, effect: Effect, loads: Loads, acting: Complex) -> Complex:
-        """What elements and readings add to −F, at all lines (S, L), with the clamp in balance with them."""
-        count, view = acting.shape[1], self._at_lines
-        rig = rig_of(physical, self.rig, effect)
-        film = film_at(physical, effect, view)
-        own = dynamic(rig, view, effect, film.k)
-        pulled = physical.actuation * film.share * channel(effect.actuation, view) * acting
-        passed = rig.electrical(film.k, own)
-        force = -passed * pulled
-        rest = np.nan_to_num(self.view.rest_force_n)
-        total = np.zeros((len(self.places), count), dtype=complex)
-        if effect.tension:
-            total = total - passed * self._balance(physical, effect, loads, rig, film.k, own, pulled)
-        if effect.reading:
-            plain = rest + _wave(force - total, self._wave.shape[1])
-            total = total - _lines(bent(plain, loads.reading_n, effect.reading))
-        return total
-
-    def _balance(
-        self,
-        physical: Physical,
-        effect: Effect,
-        loads: Loads,
-        rig: Rig,
-        k: Complex,
-        own: Complex,
-        pulled: Complex,
-    ) -> Complex:
-        """(S, L) lines of what elements add to the tension T that the film has once the clamp has given way to all of it.
-
-            T = −F_A − k x,   x = (T + d(T))/(kL own)
-
-        Rounds of substitution with the mean slope s of T + d(T) taken out of d, which leaves of it what is less than the slope:
-        they converge at a clamp's resonance as well.
-        """
-        give, samples = k * rig.compliance, self._wave.shape[1]
-        tension = -own * pulled / (own + give)
-        added = np.zeros_like(tension)
-        for _ in range(_ROUNDS):
-            moved = (pulled - added) / (own + give) * rig.compliance / self.session.scale.length_mm
-            course = Course(
-                _wave(moved, samples),
-                _wave(tension, samples),
-                True,
-                self.view.rest_force_n,
-                loads.tension_n,
-                loads.fall_n,
-                np.array([[physical.film.k0]], dtype=complex),
-                physical.film.k0,
-                np.array([[self._period / samples]]),
-                self.session.scale,
-            )
-            extra = along(effect.tension, course)
-            added = _lines(extra)
-            slope = _measure_slope(course.tension, extra)
-            new = (-own * pulled - give * (added - (slope - 1) * tension)) / (own + slope * give)
-            change, size = np.abs(new - tension).max(), np.abs(tension).max()
-            tension = new
-            if not change > _SETTLED * size:
-                break
-        return added
-
-
-def _measure_slope(tension: Float, extra: Float) -> Float:
-    """(S, 1) slope of all tension over the linear one along waves (S, W)."""
-    about = tension - tension.mean(axis=1, keepdims=True)
-    power = np.sum(about**2, axis=1, keepdims=True)
-    slope = 1 + np.sum(about * extra, axis=1, keepdims=True) / np.maximum(power, 1e-300)
-    return np.asarray(np.clip(slope, *SLOPES))
+        return _interpolated(self._lines, lines, acting[:, lines] / self._waves.measured[:, lines])
 
 
 def _balance(elements: Sequence[Callable[[Course], Float]], course: Course, give: float) -> Float:
@@ -364,40 +237,21 @@ def _balance(elements: Sequence[Callable[[Course], Float]], course: Course, give
     give : stiffness of the film over that of the load cell
     """
     pulled = course.tension * (1 + give)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         added = along(elements, course)
-        slope = _measure_slope(course.tension, added)
+        slope = measure_slope(course.tension, added)
         new = (pulled - give * (added - (slope - 1) * course.tension)) / (1 + slope * give)
         change, size = np.abs(new - course.tension).max(), np.abs(course.tension).max()
         course = replace(course, tension=new)
-        if not change > _SETTLED * size:
+        if not change > SETTLED * size:
             break
     return np.asarray(added[0])
-
-
-def _nonlinear(effect: Effect) -> bool:
-    """Whether another voltage, or not its square, acts on the film."""
-    return bool(effect.film_voltage or effect.squared)
 
 
 def _flattened(value: Complex) -> Float:
     """(..., 2 S n) real and imaginary parts of the values (..., S, n) of each place."""
     parts = np.concatenate([value.real, value.imag], axis=-1)
     return parts.reshape(*parts.shape[:-2], -1)
-
-
-def _lines(wave: Float) -> Complex:
-    """Amplitudes of the lines 0 … W/2 − 1 of one period (S, W)."""
-    spectrum = np.fft.rfft(wave, axis=1)[:, : wave.shape[1] // 2] * (2 / wave.shape[1])
-    spectrum[:, 0] /= 2
-    return np.asarray(spectrum)
-
-
-def _wave(lines: Complex, samples: int) -> Float:
-    """One period (S, samples) of lines 0 … L − 1 (S, L)."""
-    spectrum = lines * (samples / 2)
-    spectrum[:, 0] *= 2
-    return np.fft.irfft(spectrum, n=samples, axis=1)
 
 
 def _interpolated(at: Int, lines: Int, values: Complex) -> Complex:

@@ -20,8 +20,7 @@ from pipeline.diagnose.features.kinds import (
     CYCLIC_CAPACITANCE,
     CYCLIC_RESPONSE,
     EXTRA_MASS,
-    SPHS_CAPACITANCE,
-    STEP_CAPACITANCE,
+    SENSED,
     FeatureBlock,
     NoiseSample,
     RecordingFeatures,
@@ -42,10 +41,12 @@ from pipeline.physics.rig import RigPrior, rig_prior
 from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
-from schemas.protocols import MECHANICAL
+from schemas.protocols import ELECTRICAL, MECHANICAL
 
 _TIMES_BEYOND = 30.0
 """How far beyond both ends of what tests show the time of an arm is searched."""
+_NAMES = {("step", MECHANICAL): "relaxation", ("chirp", ELECTRICAL): "electrical chirp"}
+"""Tests by protocol and loading that have a name of their own."""
 _LEAST_VARIANCE = 1e-10
 """Share of a block's mean variance that is added to its diagonal: functionals may be nearly dependent."""
 
@@ -138,11 +139,8 @@ class Session:
 
     @cached_property
     def protocols(self) -> tuple[str, ...]:
-        """Protocols present, relaxation as `relaxation`, in the order of the session."""
-        names = [
-            "relaxation" if (r.protocol, r.loading) == ("step", "mechanical") else r.protocol for r in self.recordings
-        ]
-        return tuple(dict.fromkeys(names))
+        """Protocols present, named as by `name_test`, in the order of the session."""
+        return tuple(dict.fromkeys(name_test(r) for r in self.recordings))
 
     def covariate(self, name: str) -> Float:
         """(N,) frequency_hz, amplitude, voltage_kv, cycle or time_s of each value, `session_s` and `temperature_k` too."""
@@ -243,7 +241,7 @@ class Session:
         for number, rig in enumerate(self.rigs):
             if any(p.block.kind in AMPLIFIER and self.rig[p.recording] == number for p in self.places):
                 entries.append(_amplifier_entry(f"log amplifier {number}", rig))
-        if self.kinds & {SPHS_CAPACITANCE, STEP_CAPACITANCE}:
+        if self.kinds & SENSED:
             entries.append(Entry(PER_FORCE, low=-np.inf, high=np.inf))
         if CYCLIC_CAPACITANCE in self.kinds:
             entries.append(Entry(PER_DISPLACEMENT, low=-np.inf, high=np.inf))
@@ -263,6 +261,11 @@ class Session:
         high = float(known.max()) if known.size else 10.0
         low = min(float(known.min()) if known.size else 1.0, 1 / longest)
         return 1 / (2 * np.pi * high * _TIMES_BEYOND), _TIMES_BEYOND / (2 * np.pi * low)
+
+
+def name_test(recording: RecordingFeatures) -> str:
+    """The protocol of a recording; a mechanical step is `relaxation`, a sweep of the voltage `electrical chirp`."""
+    return _NAMES.get((recording.protocol, recording.loading), recording.protocol)
 
 
 def make_session(

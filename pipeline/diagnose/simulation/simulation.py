@@ -32,7 +32,7 @@ from pipeline.diagnose.features.rest import hum_score
 from pipeline.diagnose.simulation.capacitance import CapacitanceFamily
 from pipeline.diagnose.simulation.describing import Loads
 from pipeline.diagnose.simulation.effects import NONE, Effect
-from pipeline.diagnose.simulation.electrical import CAPACITANCE, FORCE, VOLTAGE, MultisineFamily, StepFamily
+from pipeline.diagnose.simulation.electrical import MultisineFamily, StepFamily
 from pipeline.diagnose.simulation.families import Family, channel, rig_of, state_view
 from pipeline.diagnose.simulation.mechanical import CYCLIC, RAMP, CyclicFamily, MechanicalFamily, RampFamily
 from pipeline.diagnose.simulation.nodes import Elsewhere, response_nodes
@@ -40,10 +40,12 @@ from pipeline.diagnose.simulation.parameters import BaseModel, Physical, Several
 from pipeline.diagnose.simulation.remembered import Remembered
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.diagnose.simulation.sweeps import SWEEP, SweepFamily
+from pipeline.diagnose.simulation.voltage_sweeps import OUTPUTS, VoltageSweepFamily
+from pipeline.diagnose.simulation.voltage_waves import CAPACITANCE, FORCE, VOLTAGE
 from schemas.arrays import Float
 from schemas.metadata import RigConstants
 
-Predicting = MechanicalFamily | StepFamily | MultisineFamily | CapacitanceFamily
+Predicting = MechanicalFamily | StepFamily | MultisineFamily | VoltageSweepFamily | CapacitanceFamily
 
 _STEPS = {STEP_FORCE: FORCE, STEP_CAPACITANCE: CAPACITANCE, STEP_VOLTAGE: VOLTAGE}
 _MULTISINES = (SPHS_RESPONSE, SPHS_DETECTION, SPHS_VOLTAGE, SPHS_CAPACITANCE)
@@ -70,12 +72,14 @@ class Simulation:
         self._families: list[Predicting] = []
         for key, places in groups.items():
             nodes = session.recordings[places[0].recording].nodes
-            if key[1:] == ("step", VOLTAGE):
+            if key[1] in ("step", "voltage chirp") and key[2] == VOLTAGE:
                 nodes = response_nodes(RigConstants())
             if key[1] in _MECHANICAL:
                 self._families.append(_MECHANICAL[str(key[1])](session, places, nodes))
             elif key[1] == "step":
                 self._families.append(StepFamily(session, places, nodes, str(key[2])))
+            elif key[1] == "voltage chirp":
+                self._families.append(VoltageSweepFamily(session, places, nodes, str(key[2])))
             elif key[1] == "multisine":
                 self._families.append(MultisineFamily(session, places))
             elif key[1] == CYCLIC_CAPACITANCE:
@@ -191,6 +195,8 @@ def _family_key(p: Place) -> tuple[object, ...]:
     kind = p.block.kind
     if kind in _STEPS:
         return "step", _STEPS[kind]
+    if kind in OUTPUTS:
+        return "voltage chirp", OUTPUTS[kind]
     if kind in _MULTISINES:
         wave = p.block.support["wave"].size
         return "multisine", kind, p.block.support["lines"].tobytes(), float(p.block.support["period_s"][0]), wave

@@ -81,6 +81,62 @@ class Sphs(Electrical):
 
 
 @dataclass(frozen=True, kw_only=True)
+class VoltageChirp(Electrical):
+    """Sweeps of the voltage about a bias, which it is brought to at the start: V = bias_kv + swing_kv sin φ, never negative."""
+
+    protocol: ClassVar[str] = "chirp"
+    bias_kv: float = number(above=0)
+    swing_kv: float = number(above=0)
+    frequency_start_hz: float = number(1.0, above=0)
+    frequency_stop_hz: float = number(100.0, above=0)
+    sweep: str = choice("log", "linear", default="log")
+    sweep_s: float = number(20.0, above=0)
+    rest_s: float = number(1.0, above=0)
+    repeats: int = whole(1)
+
+    def __post_init__(self) -> None:
+        if self.frequency_stop_hz <= self.frequency_start_hz:
+            raise ValueError("frequency_stop_hz is not above frequency_start_hz")
+        if self.swing_kv > self.bias_kv:
+            raise ValueError("swing_kv is above bias_kv: the amplifier gives no negative voltage")
+
+    @property
+    def duration_s(self) -> float:
+        return 2 * self.rest_s + self.repeats * (self.sweep_s + self.rest_s)
+
+    def finest_interval_s(self, bench: Bench) -> float:
+        return min(1 / (2 * INTERVALS_PER_CYCLE * self.frequency_stop_hz), amplifier_interval_s(bench))
+
+    def metadata(self, specimen: Specimen | None) -> dict[str, Any]:
+        return {
+            "frequency_start_hz": self.frequency_start_hz,
+            "frequency_stop_hz": self.frequency_stop_hz,
+            "sweep": self.sweep,
+            "repeats": self.repeats,
+            "period_s": self.sweep_s + self.rest_s,
+            "drive_kv": self.bias_kv + self.swing_kv,
+        }
+
+    def voltage(self, clock: Clock, rng: np.random.Generator) -> Float:
+        since = clock.time_s - 2 * self.rest_s
+        within = np.where(since < 0, -1.0, np.mod(since, self.sweep_s + self.rest_s))
+        swing = excitation.sweep(
+            within,
+            start_hz=self.frequency_start_hz,
+            stop_hz=self.frequency_stop_hz,
+            duration_s=self.sweep_s,
+            amplitude=self.swing_kv,
+            logarithmic=self.sweep == "log",
+            taper_start_s=0.05 * self.sweep_s,
+            taper_stop_s=0.02 * self.sweep_s,
+        )
+        brought = excitation.ramp(
+            clock.time_s, start_s=0.5 * self.rest_s, duration_s=0.5 * self.rest_s, height=self.bias_kv
+        )
+        return brought + swing
+
+
+@dataclass(frozen=True, kw_only=True)
 class VoltageSteps(Electrical):
     """Voltage on and off: one level for `cycles` cycles, or one cycle for each of `levels_kv`; from `bias_kv` if given."""
 
