@@ -147,9 +147,10 @@ def is_wrong_name(a: Answer) -> bool:
 
 
 def is_place_right(a: Answer) -> bool:
-    """Whether stage and dependence are those of what is hidden: the stage, and one covariate at least where there is one."""
-    depends = set(a.truth["depends_on"] or ())
-    return a.stage == a.truth["stage"] and (not depends or bool(depends & set(a.depends_on)))
+    """Whether stage and dependence are those of what is hidden: its stage, of several one, and one covariate at least where there is one."""
+    stage, depends = a.truth["stage"], set(a.truth["depends_on"] or ())
+    stages = [stage] if isinstance(stage, str) else stage or []
+    return a.stage in stages and (not depends or bool(depends & set(a.depends_on)))
 
 
 def is_fault_named(a: Answer) -> bool:

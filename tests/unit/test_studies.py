@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.foreign_rigs import Answer
 from tests.studies import __main__ as studies
-from tests.studies.study_foreign import is_correction_right, is_fault_named
+from tests.studies.study_foreign import is_correction_right, is_fault_named, is_place_right
 
 FIT, SURVIVAL = (studies.about(studies.HERE / f"study_{name}.py") for name in ("fit", "survival"))
 
@@ -112,3 +112,20 @@ def test_a_recording_that_is_refused_for_its_fault_counts_as_named(
     named = ({"id": id, "recordings": list(found), "corrections": []},) if found else ()
     answer = Answer("rig", 1, "fault", {"fault": fault}, faults=named, refused=refused)
     assert is_fault_named(answer) is is_right
+
+
+@pytest.mark.parametrize(
+    ("stage", "said", "depends_on", "is_right"),
+    [
+        ("film", "film", ("cycle", "amplitude"), True),
+        (["film", "rig"], "rig", ("amplitude",), True),
+        (["film"], "rig", ("amplitude",), False),
+        (["film"], "film", ("frequency",), False),
+    ],
+)
+def test_a_place_is_right_by_one_of_its_stages_and_covariates(
+    stage: str | list[str], said: str, depends_on: tuple[str, ...], is_right: bool
+) -> None:
+    """Rigs state one stage or a list of them."""
+    truth = {"stage": stage, "depends_on": ["amplitude", "largest_strain"]}
+    assert is_place_right(Answer("rig", 1, "unlisted", truth, stage=said, depends_on=depends_on)) is is_right
