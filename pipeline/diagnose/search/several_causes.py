@@ -110,22 +110,32 @@ def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
     It is looked for under two kinds of weights. Under those of the base's own likelihood, what is the wrong form of its causes counts for
     little; but so does what another cause does, for to that likelihood it is noise that is louder, or something that nobody has thought of.
     So it is looked for as the first one was, too: under weights by which every block may be wrong by a share of its misfit.
+    Where what a screen promises most of makes nothing more probable, what it promises less of is asked as well.
     """
     own = reweigh_fit(base, _ROUGHLY)
     found: list[Hypothesis] = []
     for fit in (own, temper_fit(own)):
         signatures = compute_signatures(changes, fit)
         scores = find_best_scores(signatures)
-        if scores and signatures.reaches(scores[0].statistic, RULES.cause.level):
-            number = _count_promising(scores)
-            found += [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, number))]
+        if not scores or not signatures.reaches(scores[0].statistic, RULES.cause.level):
+            continue
+        for ids in rank_promising(scores):
+            own_scores = [
+                s for s in scores if s.chosen.id in ids and signatures.reaches(s.statistic, RULES.cause.level)
+            ]
+            fits = fit_each_mechanism(fit, own_scores, signatures, len(ids)) if own_scores else []
+            found += settle_hypotheses([weigh_fit(f) for f in confirm_best(fits)])
+            if any(h.log_joint > base.log_joint for h in found):
+                break
     return settle_hypotheses(found)
 
 
-def _count_promising(scores: Sequence[Score]) -> int:
-    """Mechanisms that a screen promises nearly as much of as of its best: which of them explains most, only fits tell."""
-    close = [s.chosen.id for s in scores if s.statistic > RULES.fit.close_further * scores[0].statistic]
-    return int(np.clip(len(set(close)), _FEWEST, _MOST))
+def rank_promising(scores: Sequence[Score]) -> tuple[list[str], list[str]]:
+    """Mechanisms that a screen promises nearly as much of as of its best, for which of them explains most only fits tell; and the next."""
+    ids = list(dict.fromkeys(s.chosen.id for s in scores))
+    close = {s.chosen.id for s in scores if s.statistic > RULES.fit.close_further * scores[0].statistic}
+    number = int(np.clip(len(close), _FEWEST, _MOST))
+    return ids[:number], ids[number:_MOST]
 
 
 def _try_beside_others(found: Sequence[Hypothesis], bases: Sequence[Hypothesis]) -> list[Hypothesis]:
