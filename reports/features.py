@@ -46,6 +46,18 @@ KINDS = {
     "sphs.capacitance": Kind(
         "capacitance over voltage squared", "Capacitance over V², pF/kV²", _CAPACITANCE, 1.0, True
     ),
+    "electrical_chirp.response": Kind(
+        "response in the sweep of the voltage", "Response |F/V²|, mN/kV²", _RESPONSE, 1e3, True
+    ),
+    "electrical_chirp.harmonic": Kind(
+        "harmonics of the force in the sweep of the voltage", "Harmonics of the force, mN", _HARMONICS, 1e3
+    ),
+    "electrical_chirp.capacitance": Kind(
+        "capacitance in the sweep of the voltage", "Capacitance over V², pF/kV²", _CAPACITANCE, 1.0, True
+    ),
+    "electrical_chirp.voltage": Kind(
+        "voltage over command in the sweep", "Voltage over command, kV/V", _DRIVE, 1.0, True
+    ),
     "cyclic.response": Kind("response in the cycles", "Response |F/x|, N/mm", _RESPONSE),
     "cyclic.harmonic": Kind("harmonics of the cycles' force", "Harmonics of the force, mN", _HARMONICS, 1e3),
     "cyclic.level": Kind("mean force of the cycles", "Mean force against rest, mN", _LEVEL, 1e3),

@@ -11,7 +11,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from reports.features import KINDS, compared, kind_of
+from pipeline.diagnose.features import kinds
+from pipeline.diagnose.search.discrepancies import _WORDS
+from reports.features import COLUMNS, KINDS, compared, kind_of
 from reports.figures.comparison import broken, comparison, comparison_reach
 
 
@@ -174,3 +176,10 @@ def test_residuals_that_dwarf_the_noise_are_all_inside_the_figure() -> None:
     assert comparison_reach(data) > max(
         np.abs(data.residual(data.plain)).max(), np.abs(data.residual(data.plain)).max()
     )
+
+
+@pytest.mark.parametrize("kind", kinds.KINDS)
+def test_every_kind_of_features_has_words_and_a_column_of_the_map(kind: str) -> None:
+    """A kind without them is called by its name in the database, on a column of its own."""
+    assert KINDS[kind].column in COLUMNS
+    assert kind in _WORDS
