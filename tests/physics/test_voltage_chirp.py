@@ -25,6 +25,7 @@ from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics import excitation
 from pipeline.simulate.campaign import read_campaign, simulate
 from schemas.arrays import Float
+from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.protocols import ELECTRICAL
 from schemas.recording import Channel, Recording
@@ -207,3 +208,13 @@ def test_an_offset_of_the_monitor_is_named() -> None:
     found = diagnose([reduce(r) for r in told])
     assert "drive_offset" in (*found.mechanisms, *found.also_possible)
     assert not set(found.mechanisms) - {"drive_offset"}
+
+
+def test_a_sweep_that_ends_after_a_few_turns_has_no_features() -> None:
+    """It said "behaves as simulated" of a record whose response is refused."""
+    whole = make_bipolar()
+    cut = {
+        q: replace(c, time_ns=c.time_ns[:5800], values=c.values[:5800]) for q, c in whole.channels.items()
+    }  # 2 s of rest, 0.9 s of a sweep from 1 Hz
+    with pytest.raises(NotIdentifiableError, match=r"ends after [\d.]+ turns"):
+        reduce(replace(whole, channels=cut))

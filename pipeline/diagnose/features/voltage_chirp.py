@@ -41,6 +41,10 @@ _A_SWEEP = 0.5
 """Share of the longest motion from which another is a sweep as well; what is shorter brings the voltage to its bias, or away from it."""
 _BIASED = 0.25
 """Bias over amplitude of a voltage from which its square sweeps the voltage's own frequency more strongly than twice that."""
+_FEWEST_TURNS = 6.0
+"""Fewest turns of a sweep that has a response: of fewer most is how it began and ended."""
+_TURNED = 0.2
+"""Share of its amplitude by which a wave has to be beyond its middle to have turned: less is noise."""
 _BEYOND_HARMONICS = 3.5
 """Times the highest frequency of a sweep above which neither it nor its harmonics show, but the noise."""
 
@@ -89,12 +93,20 @@ def voltage_chirp_blocks(
     blocks: list[FeatureBlock] = []
     warnings: list[str] = []
     for sweep in pieces:
+        turns = count_half_turns(kv[sweep.start : sweep.end] ** 2) / 2
         if found.lost[sweep.first : sweep.stop].any():
             warnings.append(f"sweep {sweep.number} has gaps and is left out")
             continue
+        if turns < _FEWEST_TURNS:
+            warnings.append(f"sweep {sweep.number} ends after {turns:g} turns and is left out")
+            continue
         blocks += _read_sweep(found, sweep, (low, high), driven, nodes, rest)
     if not blocks:
-        raise NotIdentifiableError("every sweep has gaps", where=metadata.recording_id)
+        raise NotIdentifiableError(
+            "; ".join(warnings),
+            where=metadata.recording_id,
+            expected=f"a sweep without gaps of {_FEWEST_TURNS:g} turns or more",
+        )
     values = {
         "largest_voltage_kv": float(np.abs(kv).max()),
         "exposure_kv2_s": float(np.sum(kv**2) * found.interval_s),
@@ -136,6 +148,13 @@ def find_still(values: Float, window: int) -> Bool:
     held = travel <= _STILL * np.ptp(values)
     # The filters see as far to both sides: a still window is still in all of its samples.
     return np.asarray(maximum_filter1d(held.astype(np.uint8), window, mode="constant") > 0)
+
+
+def count_half_turns(wave: Float) -> int:
+    """How often a wave (n,) goes from one side of its middle to the other."""
+    away = wave - (wave.max() + wave.min()) / 2
+    side = np.sign(away[np.abs(away) > _TURNED * np.ptp(wave) / 2])
+    return int(np.count_nonzero(np.diff(side)))
 
 
 def _is_doubled(kv: Float) -> bool:
