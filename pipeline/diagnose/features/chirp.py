@@ -23,9 +23,11 @@ from pipeline.diagnose.features.kinds import (
     NoiseSample,
 )
 from pipeline.diagnose.features.records import (
+    CLEAR_OF_HARMONICS,
     Record,
     Start,
     find_start,
+    read_band,
     record,
     rest_samples,
     strain_length_mm,
@@ -47,8 +49,6 @@ _TOP = 0.5
 """Log frequency below the highest band that says how the film goes on above the sweep."""
 _CAME_BACK = 6.0
 """Standard deviations of its noise within which a driven end is back where it began."""
-_CLEAR_OF_HARMONICS = 3.5
-"""Times the highest frequency of a sweep above which neither it nor its harmonics show, but the noise."""
 _REMEMBERED = 3
 """Sweeps, the last one itself, in which all is that a film answers with while one passes: with all of many, time and memory would grow
 as the square of their number."""
@@ -84,7 +84,7 @@ def chirp_blocks(
     """Blocks, noise, values by name, warnings of a `chirp`. Raises `NotIdentifiableError` where nothing can be read."""
     source, where = drive(recording), recording.metadata.recording_id
     names = source.input.quantity, source.output.quantity
-    low, high = _band(recording)
+    low, high = read_band(recording)
     found = record({names[0]: source.input, names[1]: source.output}, recording, highest_hz=high)
     pieces, amplitude = _sweeps(recording, found, found.values[names[0]])
     before = rest_samples(found.values[names[0]], back=int(0.25 / (low * found.interval_s)))
@@ -97,13 +97,13 @@ def chirp_blocks(
     degree = 1 if start.rests else 2
     noise = [found.noise(q, v[s], degree=degree) for s in start.quiet for q, v in zip(names, (x, y), strict=True)]
     if not any(n is not None and n.quantity == names[1] for n in noise):
-        noise = [found.noise_beyond(q, _CLEAR_OF_HARMONICS * high) for q in names]
+        noise = [found.noise_beyond(q, CLEAR_OF_HARMONICS * high) for q in names]
         if not start.quiet and None in noise:
             raise NotIdentifiableError(
                 "no rest before the first sweep nor after one, and samples too rare for the noise beyond it",
                 where=where,
                 expected=f"at least {RULES.features.chirp_rest} samples of rest,"
-                f" or more than {2 * _CLEAR_OF_HARMONICS * high:.4g} samples a second",
+                f" or more than {2 * CLEAR_OF_HARMONICS * high:.4g} samples a second",
             )
     warnings: list[str] = []
     signals = Signals(
@@ -138,15 +138,6 @@ def chirp_blocks(
         REST_INPUT: float(found.values[names[0]][:rest].mean()),
     }
     return blocks, [n for n in noise if n is not None], values, warnings
-
-
-def _band(recording: Recording) -> tuple[float, float]:
-    low, high = recording.metadata.frequency_start_hz, recording.metadata.frequency_stop_hz
-    if low is None or high is None:
-        raise NotIdentifiableError(
-            "frequency_start_hz or frequency_stop_hz is missing", where=recording.metadata.recording_id
-        )
-    return min(low, high), max(low, high)
 
 
 def _sweeps(recording: Recording, found: Record, x: Float) -> tuple[list[Sweep], float]:

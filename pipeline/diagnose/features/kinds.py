@@ -153,6 +153,11 @@ class FeatureBlock:
         return tuple(dict.fromkeys(name.split("/")[0] for name in self.components))
 
 
+def read_clock(support: Mapping[str, Float]) -> float:
+    """True frequencies of a block over those that were claimed, from its support."""
+    return float(support[CLOCK][0]) if CLOCK in support else 1.0
+
+
 @dataclass(frozen=True, eq=False)
 class NoiseSample:
     """Periodogram of a channel where it holds no signal: rest, residuals between lines.

@@ -29,6 +29,8 @@ _CLEARLY_AWAY, _FIRST_LEVEL, _LEAVING, _LEAST_OF_STEP = 6.0, 40, 0.2, 0.25
 cycle, before that in which it may have begun to; and least noise over the step of the converter."""
 _RARER = 1.5
 """Times the clock's interval from which a channel's samples are so much rarer that they were interpolated."""
+CLEAR_OF_HARMONICS = 3.5
+"""Times the highest frequency of a sweep above which neither it nor its harmonics show, but the noise."""
 _WHOLE = 0.02
 """Samples by which a period may miss a whole number."""
 _NORMAL_MEDIAN = 0.6745
@@ -362,6 +364,16 @@ def ringing_s(rig: RigConstants, interval_s: float) -> float:
         return 0.0
     ratio = max(float(prior.rig.damping / prior.rig.critical_damping), prior.lightest_ratio)
     return float(np.log(100) / (ratio * prior.rig.clamp_omega))
+
+
+def read_band(recording: Recording) -> tuple[float, float]:
+    """Lowest and highest frequency in Hz that a sweep is stated to have. Raises `NotIdentifiableError` where one is missing."""
+    low, high = recording.metadata.frequency_start_hz, recording.metadata.frequency_stop_hz
+    if low is None or high is None:
+        raise NotIdentifiableError(
+            "frequency_start_hz or frequency_stop_hz is missing", where=recording.metadata.recording_id
+        )
+    return min(low, high), max(low, high)
 
 
 def strain_length_mm(recording: Recording) -> float:

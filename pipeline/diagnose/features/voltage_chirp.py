@@ -22,11 +22,12 @@ from pipeline.diagnose.features.kinds import (
     FeatureBlock,
     NoiseSample,
 )
-from pipeline.diagnose.features.records import Record, record, white_sd
+from pipeline.diagnose.features.records import CLEAR_OF_HARMONICS, Record, read_band, record, white_sd
 from pipeline.diagnose.features.sweep_kernels import WITHIN, Bands, Piece, bands_of, harmonics_of
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.nodes import response_nodes
 from pipeline.transform.channels import drive
+from pipeline.transform.sampling import runs
 from pipeline.transform.sweeps import find_period
 from schemas.arrays import Bool, Complex, Float, Int
 from schemas.errors import NotIdentifiableError
@@ -45,8 +46,6 @@ _FEWEST_TURNS = 6.0
 """Fewest turns of a sweep that has a response: of fewer most is how it began and ended."""
 _TURNED = 0.2
 """Share of its amplitude by which a wave has to be beyond its middle to have turned: less is noise."""
-_BEYOND_HARMONICS = 3.5
-"""Times the highest frequency of a sweep above which neither it nor its harmonics show, but the noise."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +64,7 @@ def voltage_chirp_blocks(
 ) -> tuple[list[FeatureBlock], list[NoiseSample], dict[str, float], list[str]]:
     """Blocks, noise, values by name, warnings of an electrical `chirp`. Raises `NotIdentifiableError` where nothing can be read."""
     source, metadata = drive(recording), recording.metadata
-    low, high = metadata.frequency_start_hz, metadata.frequency_stop_hz
-    if low is None or high is None:
-        raise NotIdentifiableError("frequency_start_hz or frequency_stop_hz is missing", where=metadata.recording_id)
-    driven = min(low, high), max(low, high)
+    driven = read_band(recording)
     low, high = (2 * f for f in driven) if _is_doubled(source.input.values) else driven
     given, force = source.input.quantity, source.output.quantity
     channels = {given: source.input, force: source.output} | {
@@ -85,7 +81,7 @@ def voltage_chirp_blocks(
     # A film still relaxes after its voltage has changed: a parabola takes that off.
     noise = [found.noise(q, found.values[q][s], degree=2) for q in channels for s in quiet]
     noise += [
-        found.noise_beyond(q, _BEYOND_HARMONICS * high)
+        found.noise_beyond(q, CLEAR_OF_HARMONICS * high)
         for q in channels
         if not any(n is not None and n.quantity == q for n in noise)
     ]
@@ -163,35 +159,29 @@ def _is_doubled(kv: Float) -> bool:
     return bool(abs(known.max() + known.min()) <= _BIASED * np.ptp(known))
 
 
-def _list_runs(flags: Bool) -> list[slice]:
-    """Where flags (n,) are set, run by run."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
-    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-
 def _list_quiet(still: Bool, window: int) -> list[slice]:
     """Where a signal stands still without the window beside its motion: it leaves its rest long before it shows."""
     inner = [
-        slice(s.start + (window if s.start else 0), s.stop - (window if s.stop < still.size else 0))
-        for s in _list_runs(still)
+        slice(first + (window if first else 0), stop - (window if stop < still.size else 0))
+        for first, stop in runs(still)
     ]
     return [s for s in inner if s.stop - s.start >= RULES.features.chirp_rest]
 
 
 def _find_sweeps(squared: Float, still: Bool, repeats: int | None, *, where: str) -> list[_Sweep]:
     """The sweeps of a record, with half of the rest between one and the next. What is shorter than half of the longest motion is none."""
-    moving = _list_runs(~still)
-    longest = max((m.stop - m.start for m in moving), default=0)
+    moving = runs(~still)
+    longest = max((stop - start for start, stop in moving), default=0)
     if not longest:
         raise NotIdentifiableError("the voltage does not move at all", where=where, expected="a sweep")
     spans: list[tuple[int, int, int, int]] = []
-    for number, m in enumerate(moving):
-        if m.stop - m.start < _A_SWEEP * longest:
+    for number, (start, end) in enumerate(moving):
+        if end - start < _A_SWEEP * longest:
             continue
-        before = moving[number - 1].stop if number else 0
-        after = moving[number + 1].start if number + 1 < len(moving) else squared.size
-        first = m.start - (m.start - before) // 2 if number else 0
-        spans.append((first, m.stop + (after - m.stop) // 2, m.start, m.stop))
+        before = moving[number - 1][1] if number else 0
+        after = moving[number + 1][0] if number + 1 < len(moving) else squared.size
+        first = start - (start - before) // 2 if number else 0
+        spans.append((first, end + (after - end) // 2, start, end))
     if len(spans) == 1 and (repeats is None or repeats > 1):
         spans = _cut_repeats(squared, spans[0], repeats)
     return [_Sweep(*span, number) for number, span in enumerate(spans, start=1)]

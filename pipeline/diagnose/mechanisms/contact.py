@@ -6,19 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pipeline.diagnose.features import kinds
-from pipeline.diagnose.mechanisms.mechanism import (
-    CYCLES,
-    RAMPS,
-    SHAPE,
-    SPHS_FORCE,
-    SWEEPS,
-    VOLTAGE_CHIRPS,
-    Context,
-    Mechanism,
-    Parameter,
-    Values,
-)
+from pipeline.diagnose.mechanisms.mechanism import FORCES, SHAPE, Context, Mechanism, Parameter, Values
 from pipeline.diagnose.simulation.effects import BySize, Course, Effect
 from pipeline.physics.film import arm_step
 from schemas.arrays import Complex, Float
@@ -179,7 +167,7 @@ CLAMP_SLIP = Mechanism(
         Parameter("hardening", "1", "holding spring over the film's k0", 0.03, 3.0, SHAPE),
         Parameter("creep_s", "s", "time in which an excess would slip against k0 alone", 1e-3, 0.3, SHAPE, least=1e-6),
     ),
-    shows=SWEEPS | CYCLES | RAMPS | SPHS_FORCE | VOLTAGE_CHIRPS | {kinds.STEP_FORCE},
+    shows=FORCES,
     faint=("sphs", "step"),
     confusable={
         "amplitude_softening": "that is smooth and leaves the phase; slip raises it beyond a threshold",

@@ -6,16 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import (
-    CYCLES,
     ELECTRICAL,
+    FORCES,
     MECHANICAL,
-    RAMPS,
     SHAPE,
-    SPHS_FORCE,
-    SWEEPS,
-    VOLTAGE_CHIRPS,
     Context,
     Mechanism,
     Parameter,
@@ -23,8 +18,6 @@ from pipeline.diagnose.mechanisms.mechanism import (
 )
 from pipeline.diagnose.simulation.effects import BySize, Course, Effect, Film, View
 from schemas.arrays import Float
-
-_BENT = SWEEPS | CYCLES | RAMPS | SPHS_FORCE | VOLTAGE_CHIRPS | {kinds.STEP_FORCE}
 
 
 def _amplitude(course: Course) -> Float:
@@ -193,7 +186,7 @@ AMPLITUDE_SOFTENING = Mechanism(
             most=1.0,
         ),
     ),
-    shows=_BENT,
+    shows=FORCES,
     faint=("sphs", "step"),
     confusable={
         "cyclic_softening": "it recovers: repeat the small strain after the large one",
@@ -252,7 +245,7 @@ SLACK = Mechanism(
         Parameter("residual", "1", "stiffness that is left", 0.0, 0.4, SHAPE, log=False, most=0.9),
         Parameter("softness", "1", "width of the bend over the floor", 0.01, 0.3, SHAPE),
     ),
-    shows=_BENT,
+    shows=FORCES,
     faint=("sphs", "step"),
     confusable={
         "strain_stiffening": "slack is one-sided: the sign of the even harmonic",
@@ -276,7 +269,7 @@ STRAIN_STIFFENING = Mechanism(
         Parameter("asymmetry", "1", "share q that changes with the sign of the strain", 0.0, 1.0, SHAPE, log=False, most=1.0),
         Parameter("exponent", "1", "p", 1.0, 4.0, SHAPE, least=0.5, most=8.0),
     ),
-    shows=_BENT,
+    shows=FORCES,
     faint=("sphs", "step"),
     confusable={
         "amplitude_softening": "the sign, and harmonics",

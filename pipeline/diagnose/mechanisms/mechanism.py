@@ -25,6 +25,8 @@ RAMPS = frozenset({kinds.RELAXATION_FORCE, kinds.CYCLE_FORCE})
 MECHANICAL = SWEEPS | CYCLES | RAMPS | {kinds.CYCLIC_CAPACITANCE}
 SPHS_FORCE = frozenset({kinds.SPHS_RESPONSE, kinds.SPHS_DETECTION})
 VOLTAGE_CHIRPS = frozenset({kinds.VOLTAGE_CHIRP_RESPONSE, kinds.VOLTAGE_CHIRP_HARMONIC})
+FORCES = SWEEPS | CYCLES | RAMPS | SPHS_FORCE | VOLTAGE_CHIRPS | {kinds.STEP_FORCE}
+"""Kinds of the force of a film, in any test: what bends it shows in them."""
 STEP_SENSED = frozenset({kinds.STEP_FORCE, kinds.STEP_CAPACITANCE})
 ELECTRICAL = STEP_SENSED | VOLTAGE_CHIRPS | kinds.UNDER_VOLTAGE | kinds.SENSED
 """Kinds that follow H; with the lines that a linear film leaves empty: `BENT`."""

@@ -9,15 +9,10 @@ import numpy as np
 from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import (
     AMPLIFIER,
-    CYCLES,
     ELECTRICAL,
+    FORCES,
     MECHANICAL,
-    RAMPS,
     SHAPE,
-    SPHS_FORCE,
-    STEP_SENSED,
-    SWEEPS,
-    VOLTAGE_CHIRPS,
     Context,
     Mechanism,
     Parameter,
@@ -153,7 +148,7 @@ SENSOR_SATURATION = Mechanism(
         Parameter("overload", "1", "largest force over the limit, less 1", 0.02, 1.0),
         Parameter("softness", "1", "ceiling over the limit, less 1", 0.003, 0.1, SHAPE),
     ),
-    shows=(SWEEPS | CYCLES | RAMPS | STEP_SENSED | SPHS_FORCE | VOLTAGE_CHIRPS) - {kinds.STEP_CAPACITANCE},
+    shows=FORCES,
     faint=("sphs", "step"),
     confusable={
         "slack": "the level of the clipping is that of the range, and both signs are cut",

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.fft
 
-from pipeline.diagnose.features.kinds import CLOCK, FeatureBlock
+from pipeline.diagnose.features.kinds import FeatureBlock, read_clock
 from pipeline.diagnose.features.sweep_kernels import Piece, SpectrumReader, SweepReader
 from pipeline.diagnose.simulation.describing import Places, SweepTable
 from pipeline.diagnose.simulation.nodes import interpolation
@@ -34,8 +34,9 @@ class SweepCourse:
     def __init__(self, response: FeatureBlock, frequency: Float) -> None:
         support = response.support
         start, end, interval, low, high = support["piece"]
-        clock = float(support[CLOCK][0]) if CLOCK in support else 1.0
-        self.piece = Piece(support["piece_mm"], int(start), int(end), float(interval), float(low), float(high), clock)
+        self.piece = Piece(
+            support["piece_mm"], int(start), int(end), float(interval), float(low), float(high), read_clock(support)
+        )
         count, f = self.piece.input.size, response.frequency_hz[: response.size // 2]
         moment = support["piece_s"] / interval
         self._reader = SweepReader(self.piece, moment, f)

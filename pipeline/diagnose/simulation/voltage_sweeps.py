@@ -15,11 +15,11 @@ import numpy as np
 import scipy.fft
 
 from pipeline.diagnose.features.kinds import (
-    CLOCK,
     VOLTAGE_CHIRP_AMPLIFIER,
     VOLTAGE_CHIRP_CAPACITANCE,
     VOLTAGE_CHIRP_HARMONIC,
     VOLTAGE_CHIRP_RESPONSE,
+    read_clock,
 )
 from pipeline.diagnose.features.sweep_kernels import SweepReader
 from pipeline.diagnose.features.voltage_chirp import cut_piece
@@ -140,7 +140,6 @@ class VoltageSweepFamily(Family):
 
     def _make_sweep(self, response: Place) -> _Sweep:
         support = response.block.support
-        clock = float(support[CLOCK][0]) if CLOCK in support else 1.0
         given, placed = support["piece_v" if self.output == VOLTAGE else "piece_kv"], support["piece"]
         duration_s, high = given.size * placed[2], placed[4]
         count = min(scipy.fft.next_fast_len(int(_SAMPLES * high * duration_s)), given.size)
@@ -151,7 +150,7 @@ class VoltageSweepFamily(Family):
             wave[0],
             np.concatenate([placed[:2] * rarer, [placed[2] / rarer], placed[3:]]),
             self.output != VOLTAGE,
-            clock,
+            read_clock(support),
         )
         moment = support["piece_s"] / piece.interval_s
         reader = SweepReader(piece, moment, response.block.frequency_hz[: response.block.size // 2])

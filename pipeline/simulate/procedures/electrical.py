@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.physics import excitation
 from pipeline.physics.compliance import Compliance
 from pipeline.simulate.bench import Bench, Film, Signals
-from pipeline.simulate.procedures.base import INTERVALS_PER_CYCLE, Clock, amplifier_interval_s
+from pipeline.simulate.procedures.base import INTERVALS_PER_CYCLE, Clock, Sweeps, amplifier_interval_s
 from pipeline.simulate.specimen import EPSILON_0_N_PER_KV2, Specimen
 from pipeline.simulate.tables import choice, number, numbers, whole
 from schemas.arrays import Float
@@ -81,52 +81,35 @@ class Sphs(Electrical):
 
 
 @dataclass(frozen=True, kw_only=True)
-class VoltageChirp(Electrical):
+class VoltageChirp(Sweeps, Electrical):
     """Sweeps of the voltage about a bias, which it is brought to at the start: V = bias_kv + swing_kv sin φ, never negative."""
 
     protocol: ClassVar[str] = "chirp"
     bias_kv: float = number(above=0)
     swing_kv: float = number(above=0)
-    frequency_start_hz: float = number(1.0, above=0)
-    frequency_stop_hz: float = number(100.0, above=0)
-    sweep: str = choice("log", "linear", default="log")
-    sweep_s: float = number(20.0, above=0)
-    rest_s: float = number(1.0, above=0)
-    repeats: int = whole(1)
 
     def __post_init__(self) -> None:
-        if self.frequency_stop_hz <= self.frequency_start_hz:
-            raise ValueError("frequency_stop_hz is not above frequency_start_hz")
+        super().__post_init__()
         if self.swing_kv > self.bias_kv:
             raise ValueError("swing_kv is above bias_kv: the amplifier gives no negative voltage")
 
     @property
-    def duration_s(self) -> float:
-        return 2 * self.rest_s + self.repeats * (self.sweep_s + self.rest_s)
+    def lead_s(self) -> float:
+        return 2 * self.rest_s
 
     def finest_interval_s(self, bench: Bench) -> float:
         return min(1 / (2 * INTERVALS_PER_CYCLE * self.frequency_stop_hz), amplifier_interval_s(bench))
 
     def metadata(self, specimen: Specimen | None) -> dict[str, Any]:
         return {
-            "frequency_start_hz": self.frequency_start_hz,
-            "frequency_stop_hz": self.frequency_stop_hz,
-            "sweep": self.sweep,
-            "repeats": self.repeats,
-            "period_s": self.sweep_s + self.rest_s,
+            **self.describe_sweeps(),
             "drive_kv": self.bias_kv + self.swing_kv,
         }
 
     def voltage(self, clock: Clock, rng: np.random.Generator) -> Float:
-        since = clock.time_s - 2 * self.rest_s
-        within = np.where(since < 0, -1.0, np.mod(since, self.sweep_s + self.rest_s))
-        swing = excitation.sweep(
-            within,
-            start_hz=self.frequency_start_hz,
-            stop_hz=self.frequency_stop_hz,
-            duration_s=self.sweep_s,
+        swing = self.make_sweeps(
+            clock.time_s,
             amplitude=self.swing_kv,
-            logarithmic=self.sweep == "log",
             taper_start_s=0.05 * self.sweep_s,
             taper_stop_s=0.02 * self.sweep_s,
         )

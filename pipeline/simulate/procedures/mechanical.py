@@ -11,9 +11,15 @@ import numpy as np
 from pipeline.physics import excitation
 from pipeline.physics.compliance import Compliance
 from pipeline.simulate.bench import Bench, Film, Signals
-from pipeline.simulate.procedures.base import INTERVALS_PER_CYCLE, INTERVALS_PER_TIME_CONSTANT, Clock, film_length_mm
+from pipeline.simulate.procedures.base import (
+    INTERVALS_PER_CYCLE,
+    INTERVALS_PER_TIME_CONSTANT,
+    Clock,
+    Sweeps,
+    film_length_mm,
+)
 from pipeline.simulate.specimen import Specimen
-from pipeline.simulate.tables import choice, number, whole
+from pipeline.simulate.tables import number, whole
 from schemas.arrays import Float
 from schemas.errors import UsageError
 
@@ -50,7 +56,7 @@ sampled record folds that back onto the test's frequency (0.35 % with 250 lines 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chirp(Driven):
+class Chirp(Sweeps, Driven):
     """Sweeps of the driven end, each followed by a rest; the record begins with a rest.
 
     `amplitude_mm` at the start frequency, falling or rising as frequency^`amplitude_exponent`.
@@ -59,31 +65,13 @@ class Chirp(Driven):
     protocol: ClassVar[str] = "chirp"
     amplitude_mm: float = number(above=0)
     amplitude_exponent: float = number(0.0)
-    frequency_start_hz: float = number(1.0, above=0)
-    frequency_stop_hz: float = number(100.0, above=0)
-    sweep: str = choice("log", "linear", default="log")
-    sweep_s: float = number(20.0, above=0)
-    rest_s: float = number(1.0, above=0)
-    repeats: int = whole(1)
-
-    def __post_init__(self) -> None:
-        if self.frequency_stop_hz <= self.frequency_start_hz:
-            raise ValueError("frequency_stop_hz is not above frequency_start_hz")
-
-    @property
-    def duration_s(self) -> float:
-        return self.rest_s + self.repeats * (self.sweep_s + self.rest_s)
 
     def finest_interval_s(self, bench: Bench) -> float:
         return 1 / (INTERVALS_PER_CYCLE * self.frequency_stop_hz)
 
     def metadata(self, specimen: Specimen | None) -> dict[str, Any]:
         return {
-            "frequency_start_hz": self.frequency_start_hz,
-            "frequency_stop_hz": self.frequency_stop_hz,
-            "sweep": self.sweep,
-            "repeats": self.repeats,
-            "period_s": self.sweep_s + self.rest_s,
+            **self.describe_sweeps(),
             "strain_pp": 2 * self.amplitude_mm / film_length_mm(specimen, "chirp"),
             "amplitude_mm": self.amplitude_mm,
             "amplitude_exponent": self.amplitude_exponent,
@@ -100,16 +88,10 @@ class Chirp(Driven):
             )
 
     def displacement(self, time_s: Float, specimen: Specimen | None) -> Float:
-        since = time_s - self.rest_s
-        within = np.where(since < 0, -1.0, np.mod(since, self.sweep_s + self.rest_s))
-        return excitation.sweep(
-            within,
-            start_hz=self.frequency_start_hz,
-            stop_hz=self.frequency_stop_hz,
-            duration_s=self.sweep_s,
+        return self.make_sweeps(
+            time_s,
             amplitude=self.amplitude_mm,
             exponent=self.amplitude_exponent,
-            logarithmic=self.sweep == "log",
             taper_start_s=min(0.5 / self.frequency_start_hz, self.sweep_s / 4),
             taper_stop_s=min(5 / self.frequency_stop_hz, self.sweep_s / 4),
         )
