@@ -88,6 +88,8 @@ def canonical(
     if definition.name in _DYNAMIC:
         for quantity in required:
             _check_changes(channels[quantity], where)
+    if metadata.drive_kv and {"voltage", "force"} <= channels.keys():
+        _check_places(channels["voltage"], channels["force"], metadata.drive_kv, where)
     for quantity in _FORCES:
         if quantity in channels and rig.load_cell_range_n is not None:
             beside = channels.get("displacement") if quantity in required else None
@@ -335,6 +337,24 @@ def _check_changes(channel: Channel, where: str) -> None:
             where=where,
             expected="a channel that changes during the test",
             remedy="Check the sensor and measure again",
+        )
+
+
+def _check_places(voltage: Channel, force: Channel, drive_kv: float, where: str) -> None:
+    """A voltage that never comes near 0 nor reaches what the metadata promise, beside a force that does both, is the force."""
+    size, other = np.abs(voltage.values), np.abs(force.values)
+    highest, reached = float(np.nanmax(size)), float(np.nanmax(other))
+    never_off = float(np.nanmin(size)) > highest / 2
+    if (
+        never_off
+        and abs(reached / drive_kv - 1) < _DRIVEN < abs(highest / drive_kv - 1)
+        and np.nanmin(other) < reached / 2
+    ):
+        raise RefusedError(
+            f"voltage never falls below {np.nanmin(size):.4g} kV and reaches {highest:.4g} kV, force reaches {reached:.4g} N",
+            where=where,
+            expected=f"a voltage that reaches {drive_kv:g} kV, drive_kv of the recording",
+            remedy="Force and voltage are in each other's place. Exchange the two columns",
         )
 
 

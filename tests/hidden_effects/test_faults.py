@@ -461,6 +461,19 @@ def test_a_tap_on_something_else_is_told_where_the_tests_agree_with_the_file() -
     assert not fault.bars
 
 
+def test_weights_tell_the_unit_of_forces_below_the_resonance() -> None:
+    """There the responses are those of a film in any unit."""
+    slow = [{"protocol": "cyclic", "frequency_hz": f, "strain_pp": 0.04} for f in (0.5, 1.0, 2.0)]
+    session = make_session(SEED, (*slow, {"protocol": "weight", "loading": "calibration"}), ())
+    slip = 0.5 / 2**0.5
+    read = [change_channel(r, "force", lambda force: force * slip) for r in session.recordings]
+    (fault,) = check_recordings([reduce(r) for r in read]).faults
+    assert (fault.cause, len(fault.recordings)) == ("unit_slip", 4)
+    (proposed,) = {float(c.value_proposed) for c in fault.corrections}
+    assert proposed == pytest.approx(1 / slip, rel=1e-3)
+    assert not check_recordings([reduce(r) for r in session.recordings]).faults
+
+
 @pytest.mark.parametrize(
     ("tests", "first", "is_seen"),
     [

@@ -215,6 +215,18 @@ def test_load_cell_range() -> None:
     assert "in each other's place" not in refused.value.remedy, "that would be beyond the range as well"
 
 
+def test_force_and_voltage_in_each_others_place_are_refused_by_name() -> None:
+    pulses = np.where(np.arange(N) // 10 % 2, 5.7, 0.0)
+    tension = 8.4 - 0.03 * pulses / 5.7
+    stated = {"protocol": "step", "loading": "electrical", "drive_kv": "5.8"}
+    check(channel("voltage", "kV", pulses), channel("force", "N", tension), **stated)
+    with pytest.raises(RefusedError, match=r"voltage never falls below 8\.37 kV") as refused:
+        check(channel("voltage", "kV", tension), channel("force", "N", pulses), **stated)
+    assert "Force and voltage are in each other's place" in refused.value.remedy
+    biased = 5.0 + 0.05 * np.sin(np.arange(N) / 5)
+    check(channel("voltage", "kV", biased), channel("force", "N", pulses), **stated | {"drive_kv": "5"})
+
+
 def test_forces_beyond_the_range_that_move_as_the_strain_says_are_displacements() -> None:
     swing = np.sin(np.arange(N) / 5)
     stated = {"total_length_mm": "40", "strain_pp": "0.5"}

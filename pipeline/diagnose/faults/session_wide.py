@@ -32,6 +32,7 @@ from pipeline.diagnose.features.kinds import (
     REST_INPUT,
     RING_HZ,
     UNDER_VOLTAGE,
+    WEIGHT_GAIN,
     RecordingFeatures,
 )
 from pipeline.diagnose.features.observed import AMPLITUDE, FORCE_SWING, SEEN, STATED
@@ -495,8 +496,10 @@ def _find_furthest(plain: PlainFit) -> float:
 def _rank_remedies(session: Session) -> list[tuple[float, _Remedy]]:
     """Remedies that make the responses much more like those of a film, the smoothest first, each with what is left of their roughness.
 
-    None where there is no response.
+    The unit of the forces that the weights weigh is among them, whatever the responses say: those of a heavy film below the resonance of a
+    clamp are those of a film in any unit. None where there is no response.
     """
+    weighed = _read_weights(session)
     try:
         as_it_is = measure_roughness(session)
     except NotIdentifiableError:
@@ -513,7 +516,21 @@ def _rank_remedies(session: Session) -> list[tuple[float, _Remedy]]:
         except (NotIdentifiableError, ValueError):
             continue  # no film at all fits such a rig
     found.sort(key=lambda item: item[:2])
-    return [(left / as_it_is, remedy) for left, _, remedy in found if left < RULES.fault.smoother * as_it_is]
+    return [
+        (left / as_it_is, remedy)
+        for left, _, remedy in found
+        if left < RULES.fault.smoother * as_it_is or (remedy.cause == ids.UNIT_SLIP and remedy.factor == weighed)
+    ]
+
+
+def _read_weights(session: Session) -> float | None:
+    """The usual slip of a force's unit by which known weights are read wrong; None where there are no weights, or they tell none."""
+    gains = [float(p.block.value[0]) for p in session.places if p.block.kind == WEIGHT_GAIN]
+    if not gains or min(gains) <= 0:
+        return None
+    read = np.log(gains)
+    nearest, off = _find_nearest(float(np.median(read)), _FORCE_SLIPS)
+    return nearest if off < _ALIKE and np.ptp(read) < _ALIKE else None
 
 
 def find_wrong_file(
