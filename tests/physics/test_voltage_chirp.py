@@ -163,7 +163,7 @@ def test_a_cell_that_bends_is_read_as_it_was_recorded() -> None:
     reading = effect.reading
 
     def bend(force: Float) -> Float:
-        return force + bent(force, loads.reading_n, reading)
+        return force + bent(force, 0.0, loads.reading_n, reading)
 
     told = make_session([reduce(with_channel(r, "force", bend)) for r in true])
     change = simulation.predict(fit.model, fit.theta, effect) - plain

@@ -166,7 +166,7 @@ DRIVE_LAG = Mechanism(
             1e-5,
             1e-2,
             SHAPE,
-            only=FURTHER,
+            only=(FURTHER,),
         ),
     ),
     shows=AMPLIFIER | BENT,

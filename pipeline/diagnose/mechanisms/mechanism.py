@@ -41,8 +41,8 @@ class Parameter:
     `low` to `high` is the plausible range of its size (no limit), `least` and `most` are hard limits. The effect vanishes
     where all severities are 0; a shape has no effect by itself. `log`: searched and believed uniform in the logarithm of its
     size. `signed`: both signs are possible. `factor`: 1 + value multiplies a constant that the plain model searches in the
-    logarithm; its own logarithm is searched, so that the two can change places. `start` is where a search begins. `only`: the one
-    variant that has it, which no screen tries.
+    logarithm; its own logarithm is searched, so that the two can change places. `start` is where a search begins. `only`: the
+    variants that have it; none: all.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Parameter:
     factor: bool = False
     least: float = 0.0
     most: float = float("inf")
-    only: str = ""
+    only: tuple[str, ...] = ()
 
     def is_at_limit(self, value: float) -> bool:
         """Whether a fit ended at the largest value, or, of one with both signs, the least that there can be."""
@@ -128,12 +128,19 @@ class Mechanism:
 
     @property
     def forms(self) -> tuple[str, ...]:
-        """Its variants, with those that no screen tries."""
-        return self.variants + tuple(p.only for p in self.parameters if p.only)
+        """Its variants, with those that no screen tries: parameters alone name them."""
+        named = dict.fromkeys(form for p in self.parameters for form in p.only)
+        return self.variants + tuple(form for form in named if form not in self.variants)
+
+    @property
+    def usual_variants(self) -> tuple[str, ...]:
+        """Those of its variants that have no parameter of their own."""
+        own = {form for p in self.parameters for form in p.only}
+        return tuple(v for v in self.variants if v not in own)
 
     def list_parameters(self, variant: str) -> tuple[Parameter, ...]:
         """The parameters that a variant has."""
-        return tuple(p for p in self.parameters if p.only in ("", variant))
+        return tuple(p for p in self.parameters if not p.only or variant in p.only)
 
     @property
     def covariates(self) -> tuple[str, ...]:
@@ -145,10 +152,9 @@ class Mechanism:
         """Parameters without which the effect vanishes."""
         return tuple(p for p in self.parameters if p.role == SEVERITY)
 
-    @property
-    def shapes(self) -> tuple[Parameter, ...]:
-        """Parameters of every variant that have no effect by themselves."""
-        return tuple(p for p in self.parameters if p.role == SHAPE and not p.only)
+    def list_shapes(self, variant: str) -> tuple[Parameter, ...]:
+        """Parameters of a variant that have no effect by themselves."""
+        return tuple(p for p in self.list_parameters(variant) if p.role == SHAPE)
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""

@@ -13,6 +13,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
     FORCES,
     MECHANICAL,
     SHAPE,
+    SPHS_FORCE,
     Context,
     Mechanism,
     Parameter,
@@ -22,6 +23,9 @@ from pipeline.diagnose.simulation.effects import Effect, Factor, Reading, View
 from schemas.arrays import Complex, Float
 
 _CHANNELS = ("force", "displacement", "voltage", "capacitance")
+_BY_SIDE, _BY_LEVEL, _IN_TIME = "by side", "by level", "in time"
+_UNEVEN = tuple(f"force, {form}" for form in (_BY_SIDE, _BY_LEVEL, _IN_TIME))
+"""Forms of a gain that is not the same everywhere: above and below rest, at small and large forces, early and late."""
 
 
 def _on(channel: str, factor: Factor) -> Effect:
@@ -50,7 +54,32 @@ def _channel_of(values: Values, variant: str, context: Context) -> Mapping[str, 
 
 
 def _gain(values: Values, variant: str) -> Effect:
-    return _on(variant, lambda view: 1 + values["gain"])
+    channel, form = _split_form(variant)
+    gain = values["gain"]
+    if not form:
+        return _on(channel, lambda view: 1 + gain)
+    apart = gain * values["unevenness"]
+    if form == _IN_TIME:
+        return _on(channel, lambda view: 1 + gain + apart * (2 * view.session_s / max(view.scale.duration_s, 1e-9) - 1))
+
+    def read(reading: Reading) -> Float:
+        if form == _BY_SIDE:
+            return np.asarray(reading.force + apart * np.abs(reading.force - reading.rest_n))
+        largest = max(reading.largest_n, 1e-300)
+        return np.asarray(reading.force + apart * reading.force * reading.force / largest)
+
+    return Effect(force=(lambda view: 1 + gain,), reading=(read,))
+
+
+def _split_form(variant: str) -> tuple[str, str]:
+    """Channel, and how its gain is uneven; empty where it is not."""
+    channel, _, form = variant.partition(", ")
+    return channel, form
+
+
+def _report_gain(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
+    channel, form = _split_form(variant)
+    return {**values, "channel": channel, "form": form} if form else {**values, "channel": channel}
 
 
 def _hum(values: Values, variant: str) -> Effect:
@@ -104,12 +133,13 @@ GAIN_ERROR = Mechanism(
     id="gain_error",
     stage="sensor",
     depends_on=(),
-    equation="one channel × (1 + g)",
-    source="calibration",
+    equation="one channel × (1 + g); of the force g (1 ± u) above and below rest, g (1 + u F/F_max), or g (1 ± u) at both ends of the session",
+    source="calibration; non-linearity of load cells, and drift of their span",
     parameters=(
         Parameter("gain", "1", "recorded over true, less 1", 1e-3, 0.2, signed=True, factor=True, least=-0.95),
+        Parameter("unevenness", "1", "u, by which share it is larger there, and less elsewhere", 0.1, 1.0, SHAPE, most=2.0, only=_UNEVEN),
     ),
-    shows=MECHANICAL | ELECTRICAL | AMPLIFIER | {kinds.WEIGHT_GAIN},
+    shows=MECHANICAL | ELECTRICAL | SPHS_FORCE | AMPLIFIER | {kinds.WEIGHT_GAIN},
     confusable={
         "thermal_softening": "a gain is constant in time",
         "rig_constants": "a gain has no resonance; force against displacement is never decided by one rig's data",
@@ -117,9 +147,9 @@ GAIN_ERROR = Mechanism(
     effect=_gain,
     absorbed=True,
     varies_with=("session_time", "amplitude"),
-    variants=_CHANNELS,
-    report=_channel_of,
-)
+    variants=_CHANNELS + _UNEVEN,
+    report=_report_gain,
+)  # fmt: skip
 
 MAINS_HUM = Mechanism(
     id="mains_hum",

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtri
 
-from pipeline.diagnose.mechanisms import MECHANISMS, Context, Mechanism
+from pipeline.diagnose.mechanisms import MECHANISMS, Context
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Chosen, ExtendedFit, compose_chosen
 from pipeline.diagnose.search.screen import Signatures, make_absorbed_basis, project_out, scale_severities
@@ -45,10 +45,10 @@ def find_smallest(looked: Signatures, threshold: float) -> dict[str, tuple[str, 
         by_form.setdefault(c, []).append(i)
     found: dict[str, tuple[str, dict[str, float]]] = {}
     for id, mechanism in MECHANISMS.items():
-        for chosen in (Chosen(id, variant) for variant in mechanism.variants):
+        for chosen in (Chosen(id, variant) for variant in mechanism.usual_variants):
             points = by_form.get(chosen, [])
-            needed = (_solve_by_grid if mechanism.onset else _solve_by_slope)(mechanism, looked, points, wanted)
-            values = _cover_most_shapes(mechanism, needed)
+            needed = (_solve_by_grid if mechanism.onset else _solve_by_slope)(chosen, looked, points, wanted)
+            values = _cover_most_shapes(chosen, needed)
             if values is not None:
                 found[id] = chosen.variant, values
                 break
@@ -68,53 +68,53 @@ def report_smallest(
     result = {}
     for id, (variant, values) in found.items():
         mechanism = MECHANISMS[id]
-        shapes = {p.name for p in mechanism.shapes}
+        shapes = {p.name for p in mechanism.list_shapes(variant)}
         report = mechanism.report_severity(values, variant, context)
         numbers = {k: float(v) for k, v in report.items() if isinstance(v, int | float) and k not in shapes}
         result[id] = {k: v for k, v in numbers.items() if np.isfinite(v) and v != 0}
     return result
 
 
-def _take_shape(mechanism: Mechanism, values: Mapping[str, float]) -> Shape:
+def _take_shape(chosen: Chosen, values: Mapping[str, float]) -> Shape:
     """Values of a mechanism's shapes."""
-    return tuple(values[p.name] for p in mechanism.shapes)
+    return tuple(values[p.name] for p in chosen.mechanism.list_shapes(chosen.variant))
 
 
-def _cover_most_shapes(mechanism: Mechanism, needed: Mapping[Shape, float]) -> dict[str, float] | None:
+def _cover_most_shapes(chosen: Chosen, needed: Mapping[Shape, float]) -> dict[str, float] | None:
     """Parameters at the severity that is enough in all but the hardest shapes; None where that is far beyond what is
     plausible."""
     if not needed:
         return None
+    mechanism = chosen.mechanism
     main = mechanism.severities[0]
     ordered = sorted((severity, shape) for shape, severity in needed.items())
     at, shape = ordered[int(np.ceil(RULES.detectable.shapes * len(ordered))) - 1]
     if not at <= min(RULES.detectable.beyond * main.high, main.most):
         return None
     others = {p.name: 0.0 for p in mechanism.severities[1:]}
-    return {main.name: at, **others, **dict(zip((p.name for p in mechanism.shapes), shape, strict=True))}
+    shapes = (p.name for p in mechanism.list_shapes(chosen.variant))
+    return {main.name: at, **others, **dict(zip(shapes, shape, strict=True))}
 
 
-def _solve_by_slope(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
+def _solve_by_slope(chosen: Chosen, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
     """Shape → severity at a wanted length, in proportion to a small severity."""
-    main = mechanism.severities[0]
+    main = chosen.mechanism.severities[0]
     needed: dict[Shape, float] = {}
     for i in points:
         severity = abs(looked.values[i][main.name])
         if looked.weak[i] and severity > 0:
             length = float(looked.length[i])  # 0: further arms would leave nothing of it
-            needed[_take_shape(mechanism, looked.values[i])] = (
-                wanted * severity / length if length > 0 else float("inf")
-            )
+            needed[_take_shape(chosen, looked.values[i])] = wanted * severity / length if length > 0 else float("inf")
     return needed
 
 
-def _solve_by_grid(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
+def _solve_by_grid(chosen: Chosen, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
     """Shape → severity at a wanted length, along powers through the lengths at the severities of the grid: an onset has
     no slope at zero."""
-    main = mechanism.severities[0]
+    main = chosen.mechanism.severities[0]
     lengths: dict[Shape, list[tuple[float, float]]] = {}
     for i in points:
-        own = lengths.setdefault(_take_shape(mechanism, looked.values[i]), [])
+        own = lengths.setdefault(_take_shape(chosen, looked.values[i]), [])
         own.append((looked.values[i][main.name], float(looked.length[i])))
     return {
         shape: _interpolate_length(np.log(np.array(sorted(own))), float(np.log(wanted)))

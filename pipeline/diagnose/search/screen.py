@@ -259,14 +259,15 @@ def make_grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, 
     for id, mechanism in MECHANISMS.items():
         if id in held or not (mechanism.shows & of.session.kinds):
             continue
-        shapes = [
-            _place_shapes(p, RULES.alarm.shape_places[min(i, len(RULES.alarm.shape_places) - 1)])
-            for i, p in enumerate(mechanism.shapes)
-        ]
         for variant in mechanism.variants:
+            shapes = mechanism.list_shapes(variant)
+            places = [
+                _place_shapes(p, RULES.alarm.shape_places[min(i, len(RULES.alarm.shape_places) - 1)])
+                for i, p in enumerate(shapes)
+            ]
             for severity, part in _list_severities(mechanism):
-                for combination in itertools.product(*shapes):
-                    own = dict(zip((p.name for p in mechanism.shapes), combination, strict=True))
+                for combination in itertools.product(*places):
+                    own = dict(zip((p.name for p in shapes), combination, strict=True))
                     yield Chosen(id, variant), severity | own, part
 
 

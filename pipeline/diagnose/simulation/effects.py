@@ -170,9 +170,11 @@ class Course:
 
 @dataclass(frozen=True)
 class Reading:
-    """Force of the load cell over time, (..., P), total; `largest_n` is the largest of the session without mechanisms."""
+    """Force of the load cell over time, (..., P), total; `rest_n`: before the test, of any shape that broadcasts to that; `largest_n`: the
+    largest of the session without mechanisms."""
 
     force: Float
+    rest_n: float | Float
     largest_n: float
 
 
@@ -245,9 +247,11 @@ class Effect:
 NONE = Effect()
 
 
-def bent(wave: Float, largest_n: float, readings: tuple[Callable[[Reading], Float], ...]) -> Float:
-    """What readings add to a force over time (..., P), total, N."""
+def bent(
+    wave: Float, rest_n: float | Float, largest_n: float, readings: tuple[Callable[[Reading], Float], ...]
+) -> Float:
+    """What readings add to a force over time (..., P), total, N; `rest_n` before the test."""
     seen = wave
     for reading in readings:
-        seen = reading(Reading(seen, largest_n))
+        seen = reading(Reading(seen, rest_n, largest_n))
     return np.asarray(seen - wave)

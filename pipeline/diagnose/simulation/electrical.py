@@ -123,7 +123,8 @@ class StepFamily(Family):
                     self.session.scale,
                 )
                 drop = drop - _balance(effect.tension, course, still - 1) / still
-            seen = bent(np.nan_to_num(rest) - drop, loads.reading_n, effect.reading)
+            tension = float(np.nan_to_num(rest))
+            seen = bent(tension - drop, tension, loads.reading_n, effect.reading)
             values[at : at + p.block.size] = drop - seen
             at += p.block.size
 

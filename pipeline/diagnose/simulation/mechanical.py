@@ -331,8 +331,9 @@ class CyclicFamily(MechanicalFamily):
         waves[:, 1] = (values[of.real] + 1j * values[of.imaginary]) * of.amplitude_mm
         part = np.where(harmonic.imaginary, 1j, 1.0) * values[harmonic.rows]
         np.add.at(waves, (harmonic.state, harmonic.order), part)
-        change = harmonics(bent(compose_wave(waves), loads.reading_n, effect.reading))
-        shift = change[:, 0].real - bent(of.rest_n[:, None], loads.reading_n, effect.reading)[:, 0]
+        rest = of.rest_n[:, None]
+        change = harmonics(bent(compose_wave(waves), rest, loads.reading_n, effect.reading))
+        shift = change[:, 0].real - bent(rest, rest, loads.reading_n, effect.reading)[:, 0]
         values[of.real] += change[:, 1].real / of.amplitude_mm
         values[of.imaginary] += change[:, 1].imag / of.amplitude_mm
         seen = change[harmonic.state, harmonic.order]
@@ -397,4 +398,5 @@ class RampFamily(MechanicalFamily):
                     self.session.scale,
                 )
                 part = part + along(effect.tension, course)[0] / still
-            values[own.start + order] = part + bent(np.nan_to_num(rest) + part, loads.reading_n, effect.reading)
+            tension = float(np.nan_to_num(rest))
+            values[own.start + order] = part + bent(tension + part, tension, loads.reading_n, effect.reading)

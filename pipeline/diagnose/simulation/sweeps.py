@@ -177,8 +177,8 @@ class SweepFamily(MechanicalFamily):
             sweep, rest = self._sweeps[number], self.rest_of(self._sweeps[number].response)
             added = 0.0 if change is None else change[row]
             mean = sweep.samples.interpolated(passed[number].mean) if passed else 0.0
-            at_rest = bent(np.array([rest]), largest, effect.reading)
-            found.append(added + bent(rest + added + own + mean, largest, effect.reading) - at_rest)
+            at_rest = bent(np.array([rest]), rest, largest, effect.reading)
+            found.append(added + bent(rest + added + own + mean, rest, largest, effect.reading) - at_rest)
         return np.array(found)
 
     def _passed(self, linear: Linear, physical: Physical, effect: Effect, loads: Loads) -> list[_Passed]:

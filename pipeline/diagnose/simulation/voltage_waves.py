@@ -127,7 +127,7 @@ class VoltageWaves:
             total = total - passed * self._balance(physical, effect, loads, rig, film.k, own, pulled)
         if effect.reading:
             plain = rest + make_wave(force - total, self.kv.shape[1])
-            total = total - find_lines(bent(plain, loads.reading_n, effect.reading))
+            total = total - find_lines(bent(plain, rest, loads.reading_n, effect.reading))
         return total
 
     def _balance(
