@@ -63,10 +63,10 @@ def _gain(values: Values, variant: str) -> Effect:
         return _on(channel, lambda view: 1 + gain + apart * (2 * view.session_s / max(view.scale.duration_s, 1e-9) - 1))
 
     def read(reading: Reading) -> Float:
-        if form == _BY_SIDE:
-            return np.asarray(reading.force + apart * np.abs(reading.force - reading.rest_n))
-        largest = max(reading.largest_n, 1e-300)
-        return np.asarray(reading.force + apart * reading.force * reading.force / largest)
+        change = np.abs(reading.force - reading.rest_n)
+        if form == _BY_LEVEL:  # about rest: how it reads the tension itself is its even part
+            change = change**2 / max(reading.largest_n, 1e-300)
+        return np.asarray(reading.force + apart * change)
 
     return Effect(force=(lambda view: 1 + gain,), reading=(read,))
 
@@ -133,7 +133,7 @@ GAIN_ERROR = Mechanism(
     id="gain_error",
     stage="sensor",
     depends_on=(),
-    equation="one channel × (1 + g); of the force g (1 ± u) above and below rest, g (1 + u F/F_max), or g (1 ± u) at both ends of the session",
+    equation="one channel × (1 + g); of the force g (1 ± u) above and below rest, g (1 + u ΔF/F_max) of changes ΔF since rest, or g (1 ± u) at both ends of the session",
     source="calibration; non-linearity of load cells, and drift of their span",
     parameters=(
         Parameter("gain", "1", "recorded over true, less 1", 1e-3, 0.2, signed=True, factor=True, least=-0.95),
