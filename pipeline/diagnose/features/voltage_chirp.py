@@ -89,10 +89,10 @@ def voltage_chirp_blocks(
     blocks: list[FeatureBlock] = []
     warnings: list[str] = []
     for sweep in pieces:
-        turns = count_half_turns(kv[sweep.start : sweep.end] ** 2) / 2
         if found.lost[sweep.first : sweep.stop].any():
             warnings.append(f"sweep {sweep.number} has gaps and is left out")
             continue
+        turns = _count_half_turns(kv[sweep.start : sweep.end] ** 2) / 2
         if turns < _FEWEST_TURNS:
             warnings.append(f"sweep {sweep.number} ends after {turns:g} turns and is left out")
             continue
@@ -146,7 +146,7 @@ def find_still(values: Float, window: int) -> Bool:
     return np.asarray(maximum_filter1d(held.astype(np.uint8), window, mode="constant") > 0)
 
 
-def count_half_turns(wave: Float) -> int:
+def _count_half_turns(wave: Float) -> int:
     """How often a wave (n,) goes from one side of its middle to the other."""
     away = wave - (wave.max() + wave.min()) / 2
     side = np.sign(away[np.abs(away) > _TURNED * np.ptp(wave) / 2])

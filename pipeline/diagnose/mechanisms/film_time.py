@@ -175,7 +175,7 @@ THERMAL_SOFTENING = Mechanism(
     variants=("recorded", _APART),
     confusable={
         "cyclic_softening": "rest recovers it, strain does not matter: repeat the first sweep in the end, or record temperature",
-        "gain_error": "a gain is constant in time",
+        "gain_error": "a gain that drifts is in the reading of weights as well",
         "baseline_drift": "a drift shifts the level and leaves the response",
     },
     effect=_warm,
